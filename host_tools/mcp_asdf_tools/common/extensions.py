@@ -136,6 +136,18 @@ def load(group: str, name: str) -> Any:
     """
     if isinstance(name, ObjectName):
         return name.extension
+    entry_point = _find_entry_point(group, name)
+    try:
+        return entry_point.load()
+    except Exception as error:  # an import may raise anything
+        raise UsageError(f"the extension {name!r} ({entry_point.value}) cannot be loaded: {error}") from error
+
+
+def _find_entry_point(group: str, name: str) -> EntryPoint:
+    """Return the installed entry point of a group that has a name.
+
+    Raises UsageError if there is none, or if several packages offer one; the message then names them.
+    """
     candidates = [entry_point for entry_point in _entry_points(group) if entry_point.name == name]
     if not candidates:
         raise UsageError(f"no extension {name!r} is installed in the entry point group {group}")
@@ -147,8 +159,4 @@ def load(group: str, name: str) -> Any:
         raise UsageError(
             f"the extension {name!r} is offered by {' and '.join(offers)}; uninstall all but one"
         )
-    entry_point = candidates[0]
-    try:
-        return entry_point.load()
-    except Exception as error:  # an import may raise anything
-        raise UsageError(f"the extension {name!r} ({entry_point.value}) cannot be loaded: {error}") from error
+    return candidates[0]

@@ -148,13 +148,12 @@ class Contrast:
             percent_index = FLAWED_PERCENTS.index(cell.flawed_percent)
             next_lower_percent = FLAWED_PERCENTS[percent_index - 1]
             return [replace(cell, flawed_percent=next_lower_percent)]
-        if isinstance(self.than, str):
+        changes = self.than
+        if isinstance(changes, str):
             named_changes = _CLAIMS_FILE["than"]
-            changes = dict(named_changes[self.than])
-        else:
-            changes = dict(self.than)
+            changes = named_changes[changes]
         if "study_part" in changes:
-            changes["study_part"] = StudyPart(changes["study_part"])
+            changes = {**changes, "study_part": StudyPart(changes["study_part"])}
         # A list among the values stands for several reference cells.
         return [replace(cell, **change) for change in combinations(changes)]
 

@@ -20,6 +20,7 @@ import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import WIDTH, empty_figure, save_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.message_codes import EXACT, MessageCode
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.bootstrap import (
     Interval,
@@ -161,11 +162,12 @@ def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
 
     It has a row for each kind of swarm, and a column for each filter.
     """
-    exact_rows = {}
+    exact_rows: dict[str, list[Trials]] = {}
     for swarm in SWARMS:
-        label = row_label(EXACT, swarm)
         # The filters are the columns of this table: all their experiments with this swarm make one row.
-        exact_rows[swarm] = [trials for rows in rows_by_filter.values() for trials in rows[label]]
+        exact_rows[swarm] = []
+        for rows in rows_by_filter.values():
+            exact_rows[swarm] += rows[row_label(EXACT, swarm)]
     return markdown_table("error with exact messages", exact_rows, late_error_text)
 
 

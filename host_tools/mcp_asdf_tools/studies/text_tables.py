@@ -27,5 +27,8 @@ def format_cells(corner: str, text_by_cell: Mapping[tuple[str, str], str]) -> st
             rows.append(row)
         if column not in columns:
             columns.append(column)
-    lines = [[row, *(text_by_cell.get((row, column), "") for column in columns)] for row in rows]
+    lines = []
+    for row in rows:
+        texts = [text_by_cell.get((row, column), "") for column in columns]
+        lines.append([row, *texts])
     return format_table([corner, *columns], lines)

@@ -140,14 +140,14 @@ def _format_edges(graph: Any) -> list[str]:
             raise UsageError(f"graph has shape {graph.shape}; give a square array, [receiver, sender]")
         return [f"{sender} > {receiver}" for receiver, sender in np.argwhere(graph)]
     id_pairs = graph
-    sign = ""
+    separator = " "
     is_of_networkx = hasattr(graph, "is_directed") and hasattr(graph, "edges")
     if is_of_networkx:
         id_pairs = list(graph.edges())
-        sign = "> " if graph.is_directed() else ""
+        separator = " > " if graph.is_directed() else " "
     # ``index`` is that of the module operator: it takes integers of any kind, and refuses all that is none.
     try:
-        return [f"{index(first)} {sign}{index(second)}" for first, second in id_pairs]
+        return [f"{index(first)}{separator}{index(second)}" for first, second in id_pairs]
     except (TypeError, ValueError):
         fix = "give a file, edges such as '3 5; 5 > 7', pairs of ids, a boolean array, or a networkx graph"
         raise UsageError(f"graph is {graph!r}; {fix}") from None

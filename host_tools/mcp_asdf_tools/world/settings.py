@@ -223,10 +223,7 @@ class WorldSettings:
         return side, side
 
     def _check_topology(self) -> None:
-        """Raise ParameterError for a parameter of arenas or graphs that this topology does not have.
-
-        Also for topology graph without edges, and for a graph that does not suit the number of robots.
-        """
+        """Raise ParameterError for a parameter of arenas where robots do not move, and for a wrong graph."""
         if not self.is_dynamic:
             # Robots that stay where they are have no arena, in which these parameters would have an effect.
             for name in _ARENA_PARAMETERS:
@@ -234,6 +231,13 @@ class WorldSettings:
                 if value != _default_of(self, name):
                     message = f"{name} is {value} but robots do not move; choose topology dynamic"
                     raise ParameterError(name, message)
+        self._check_graph()
+
+    def _check_graph(self) -> None:
+        """Raise ParameterError for edges without topology graph, and for topology graph without edges.
+
+        Also for a graph that does not suit the number of robots.
+        """
         # Edges without the topology graph would have no effect, and that topology needs some. So one without
         # the other is an error.
         needs_graph = self.topology == "graph"

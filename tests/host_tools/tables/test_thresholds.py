@@ -40,17 +40,19 @@ def limit_in_spreads(omega: float, m: int) -> float:
 def wrongly_rounded_entries(table: Table, omega: Decimal) -> list[int]:
     """Return the indices of entries that are not k_m rounded to nearest.
 
-    k_m is the square of eq. 12's t/sqrt(m) + 1, times m / (m - 1). SciPy's doubles are good for 10**-5 of an
-    entry's unit.
+    SciPy's doubles are good for 10**-5 of an entry's unit.
     """
-    multiples = [limit_in_spreads(float(omega), m) for m in range(2, table.q + 1)]
+    thresholds = [threshold(limit_in_spreads(float(omega), m), m) for m in range(2, table.q + 1)]
     # The last entry, for more than q messages, has a normal quantile in place of t.
-    m = table.q + 1
     normal_quantile = float(scipy.stats.norm.isf((1 - float(omega)) / 2))
-    multiples.append(normal_quantile / math.sqrt(m) + 1)
-    ratios = [m / (m - 1) for m in range(2, table.q + 2)]
-    expected_entries = np.square(multiples) * ratios * 2**FRACTION_BITS
+    thresholds.append(threshold(normal_quantile / math.sqrt(table.q + 1) + 1, table.q + 1))
+    expected_entries = np.array(thresholds) * 2**FRACTION_BITS
     return np.flatnonzero(abs(expected_entries - table.entries) > 0.5 + 1e-5).tolist()
+
+
+def threshold(limit: float, m: int) -> float:
+    """Return k_m for m messages, from the number of spreads that is the limit in eq. 12."""
+    return limit**2 * m / (m - 1)
 
 
 # --- The generator ------------------------------------------------------------------------------------
