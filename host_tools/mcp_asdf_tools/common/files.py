@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from mcp_asdf_tools.common.errors import UsageError
 
@@ -32,7 +33,12 @@ def read_at_most(path: Path | str, max_bytes: int = LONGEST_TEXT) -> bytes:
     Raises OSError if it cannot be read, ValueError if it has more than ``max_bytes`` bytes.
     """
     with Path(path).open("rb") as file:
-        data = file.read(max_bytes + 1)
+        return _read_to_end(file, max_bytes)
+
+
+def _read_to_end(file: BinaryIO, max_bytes: int) -> bytes:
+    """Return what is left of an open file. Raises ValueError if that is more than ``max_bytes`` bytes."""
+    data = file.read(max_bytes + 1)
     if len(data) > max_bytes:
         raise ValueError(f"it has more than {max_bytes} bytes")
     return data
@@ -66,10 +72,7 @@ def _read_standard_input() -> bytes:
     """
     if sys.stdin is None:
         raise OSError("it is closed")
-    data = sys.stdin.buffer.read(LONGEST_TEXT + 1)
-    if len(data) > LONGEST_TEXT:
-        raise ValueError(f"it has more than {LONGEST_TEXT} bytes")
-    return data
+    return _read_to_end(sys.stdin.buffer, LONGEST_TEXT)
 
 
 def write_atomically(path: Path | str, data: bytes | str) -> None:

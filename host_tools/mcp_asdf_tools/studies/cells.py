@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
-from typing import Any
 
 from mcp_asdf_tools.experiments.experiment import Experiment, without_repetitions
 from mcp_asdf_tools.experiments.experiment_files import SHIPPED_STUDIES, read_experiments
@@ -185,16 +184,15 @@ def experiment_of(cell: Cell, study_size: StudySize) -> Experiment:
     range.
     """
     common = _shipped_experiments(cell.study_part)[0]
-    parameters: dict[str, Any] = {
-        **common.parameters(),
-        "fill_ratio": cell.fill_ratio,
-        "true_accuracy": cell.true_accuracy,
-        "flawed_accuracy": cell.flawed_accuracy,
-        "flawed": round(cell.flawed_percent * common.robots / 100),
-        "filter": cell.filter,
-        "filter_period": cell.filter_period,
-        "trials": study_size.trials,
-        "steps": min(common.steps, study_size.steps),
-        "seed": study_size.seed,
-    }
-    return Experiment(**parameters)
+    return replace(
+        common,
+        fill_ratio=cell.fill_ratio,
+        true_accuracy=cell.true_accuracy,
+        flawed_accuracy=cell.flawed_accuracy,
+        flawed=round(cell.flawed_percent * common.robots / 100),
+        filter=cell.filter,
+        filter_period=cell.filter_period,
+        trials=study_size.trials,
+        steps=min(common.steps, study_size.steps),
+        seed=study_size.seed,
+    )
