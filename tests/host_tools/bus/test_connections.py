@@ -41,6 +41,18 @@ DAMAGED_LINES = (
 """Lines that python-can turns into an exception, or into a frame that no CAN controller sends."""
 
 
+def send_to_first_program(
+    listener: socket.socket, lines: Sequence[bytes], may_close: threading.Event
+) -> None:
+    """Send lines to the first program that connects and opens the channel, and close when it is allowed."""
+    with suppress(OSError):  # nobody has come, or the program has left
+        connection, _ = listener.accept()
+        with connection:
+            connection.recv(2)  # the command that opens the channel
+            connection.sendall(b"".join(lines))
+            may_close.wait()
+
+
 @contextmanager
 def adapter_that_sends(lines: Sequence[bytes], stays_open: bool = True) -> Iterator[BusChoice]:
     """Serve a serial adapter at a TCP port, and yield the choice of its bus, which a test opens.
@@ -51,17 +63,8 @@ def adapter_that_sends(lines: Sequence[bytes], stays_open: bool = True) -> Itera
     may_close = threading.Event()
     if not stays_open:
         may_close.set()
-
-    def serve() -> None:
-        with suppress(OSError):  # nobody has come, or the program has left
-            connection, _ = listener.accept()
-            with connection:
-                connection.recv(2)  # the command that opens the channel
-                connection.sendall(b"".join(lines))
-                may_close.wait()
-
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        thread = threading.Thread(target=serve)
+        thread = threading.Thread(target=send_to_first_program, args=(listener, lines, may_close))
         thread.start()
         try:
             _host, port = listener.getsockname()

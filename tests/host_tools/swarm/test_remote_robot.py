@@ -117,20 +117,27 @@ class Comparison:
 def compare_runs(settings: SwarmSettings, wiring: Wiring) -> Comparison:
     """Run a swarm with the remote robots of a wiring, and without any."""
     setups = settings.robot_setups()
-    open_bus = wiring.open_bus
-    assert open_bus is not None
-    nodes = {robot: RobotNode(setups[robot]) for robot in sorted(wiring.remote)}
+    remote_nodes = {robot: RobotNode(setups[robot]) for robot in sorted(wiring.remote)}
+    run, frames = run_with_remote_nodes(settings, wiring, remote_nodes)
+    local_run, local_frames = run_and_record(settings, ON_OWN_BUSES)
+    return Comparison(run, frames, remote_nodes, local_run, local_frames)
+
+
+def run_with_remote_nodes(
+    settings: SwarmSettings, wiring: Wiring, remote_nodes: dict[int, RobotNode]
+) -> tuple[SwarmRun, list[can.Message]]:
+    """Run a swarm whose remote robots are these, each in a thread; return the run and all frames."""
+    assert wiring.open_bus is not None
     frames: list[can.Message] = []
     with ExitStack() as stack:
         driven_swarm = stack.enter_context(Swarm(settings, wiring, frames.append))
-        for robot, node in nodes.items():
-            bus = stack.enter_context(open_bus(robot))
+        for robot, node in remote_nodes.items():
+            bus = stack.enter_context(wiring.open_bus(robot))
             stack.enter_context(remote_robot_in_a_thread(node, bus))
         driven_swarm.wait_until_up(10)
         run = run_swarm(driven_swarm)
     assert run.failure is None
-    local_run, local_frames = run_and_record(settings, ON_OWN_BUSES)
-    return Comparison(run, frames, nodes, local_run, local_frames)
+    return run, frames
 
 
 FAULTS_AND_CRASHES = (*FAULTS, "crash=0.05,ticks=4,robots=0+2-3")

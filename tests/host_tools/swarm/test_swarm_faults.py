@@ -439,16 +439,21 @@ def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
     Robots from 6 on have the faults, and the first six are flawed.
     """
     swarm_settings = SwarmSettings(steps=500, filter_period=100, faults=tuple(faults), **settings)
-    robots_with_faults = {6}  # also in a run without faults
-    for fault in swarm_settings.faults:
-        robots_with_faults |= fault.robots or set()
-    last_with_fault = max(robots_with_faults)
+    last_with_fault = last_robot_with_a_fault(swarm_settings)
     with Swarm(swarm_settings, Wiring()) as swarm:
         robots = [node.robot for node in run_swarm(swarm).nodes]
     flawed_robots, other_robots = robots[:6], robots[last_with_fault + 1 :]
     mean_error = fmean(abs(robot.x - 0.55) for robot in flawed_robots + other_robots)
     b_hat = [fmean(robot.b_hat for robot in group) for group in (flawed_robots, other_robots)]
     return [f"{figure:.3f}" for figure in (mean_error, *b_hat)]
+
+
+def last_robot_with_a_fault(settings: SwarmSettings) -> int:
+    """Return the largest id of a robot that a fault names; at least 6, which stands for one in any run."""
+    robots_with_faults = {6}
+    for fault in settings.faults:
+        robots_with_faults |= fault.robots or set()
+    return max(robots_with_faults)
 
 
 def test_the_table_of_threats_has_figures_of_20_attacks_and_begins_with_a_swarm_without_faults() -> None:
