@@ -154,16 +154,17 @@ def _make_neighbours(controller: RobotSetup, world: SwarmSettings, first_id: int
     """
     from mcp_asdf_tools.radio.neighbourhood import choose_ids
 
-    neighbour_ids = choose_ids(controller.id, world.robots - 1, first_id)
     # Neighbours assume the true accuracy, as far as the firmware can: it needs a margin to 0 and 1.
     lowest_b_hat = B_HAT_MARGIN
     highest_b_hat = 1 - B_HAT_MARGIN
     b_hat = min(max(world.true_accuracy, lowest_b_hat), highest_b_hat)
-    config = controller.config
+    any_neighbour = replace(controller, b_hat=b_hat)
     if world.swarm_filter.filtering_robots is FilteringRobots.FLAWED:
         # Of this swarm the controller alone is in doubt, so its neighbours do not recalibrate.
-        config = replace(config, table=None, filter=Filter.OFF)
-    return tuple(replace(controller, id=robot, b_hat=b_hat, config=config) for robot in neighbour_ids)
+        config = replace(controller.config, table=None, filter=Filter.OFF)
+        any_neighbour = replace(any_neighbour, config=config)
+    neighbour_ids = choose_ids(controller.id, world.robots - 1, first_id)
+    return tuple(replace(any_neighbour, id=neighbour_id) for neighbour_id in neighbour_ids)
 
 
 def _check_run_options(args: argparse.Namespace) -> None:

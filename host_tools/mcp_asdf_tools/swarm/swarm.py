@@ -329,16 +329,19 @@ class Swarm:
     def _send(self, node: BusRobot, frame: can.Message) -> None:
         """Send a robot's frame as the faults of its sender let it, and record what they have changed.
 
-        The faults may drop the frame, or replace it by another. What gets onto the bus counts as a frame of
-        this tick.
+        The faults may drop the frame, or replace it by another.
         """
         sent_frame = self.faults.on_send(frame, node.id)  # None if a fault has dropped it
         # A remote robot's frame is on its bus already, unchanged by faults: its events have no change.
         if self._events_writer is not None and node.id not in self.remote_robots:
             self._record_changes(self._events_writer, node.id, frame, sent_frame)
         if sent_frame is not None:
-            self._carrier.send(sent_frame)
-            self._frames_of_tick.append(sent_frame.frame)
+            self._put_on_bus(sent_frame)
+
+    def _put_on_bus(self, sent_frame: SentFrame) -> None:
+        """Let the carrier send a frame, and count it as a frame of this tick."""
+        self._carrier.send(sent_frame)
+        self._frames_of_tick.append(sent_frame.frame)
 
     def _record_changes(
         self, events_writer: EventsWriter, robot: int, frame: can.Message, sent_frame: SentFrame | None
@@ -375,8 +378,7 @@ class Swarm:
                     continue
                 if self._events_writer is not None and node.id not in self.remote_robots:
                     self._events_writer.record_injected_frame(sent_frame.frame)
-                self._carrier.send(sent_frame)
-                self._frames_of_tick.append(sent_frame.frame)
+                self._put_on_bus(sent_frame)
 
     def _current_neighbours(self) -> NDArray[np.bool_]:
         """Return a matrix whose entry (i, j) is whether robot i receives from robot j at present, by ids."""

@@ -58,17 +58,22 @@ def _parse_options(fault_text: str, kind: type[Fault], items: Sequence[str]) -> 
     value.
     """
     values: dict[str, Any] = {}
-    options = [*_COMMON_OPTIONS, *kind.own_options()]
     for item in items:
         option, _, value = item.partition("=")
-        if option not in options:
-            ending = did_you_mean(option, options) or f"; its options are {', '.join(options)}"
-            raise UsageError(f"fault {fault_text!r}: {kind.name} has no option {option!r}{ending}")
+        _check_option(fault_text, kind, option)
         field_name = _FIELD_OF_OPTION.get(option, option)
         if field_name in values:
             raise UsageError(f"fault {fault_text!r}: {option} is given twice; give it once")
         values[field_name] = _parse_option(fault_text, kind, option, value)
     return values
+
+
+def _check_option(fault_text: str, kind: type[Fault], option: str) -> None:
+    """Raise UsageError, with the options that there are, if a kind of faults does not have this one."""
+    options = [*_COMMON_OPTIONS, *kind.own_options()]
+    if option not in options:
+        ending = did_you_mean(option, options) or f"; its options are {', '.join(options)}"
+        raise UsageError(f"fault {fault_text!r}: {kind.name} has no option {option!r}{ending}")
 
 
 def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -> Any:
