@@ -16,6 +16,7 @@ Between the calls other nodes may send.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import TypeVar
@@ -221,27 +222,23 @@ class Lockstep:
         second. Raises LockstepError, naming the missing robots, after ``seconds``; on a bus that is never
         quiet after twice that.
         """
-        actions_to_repeat = dict(actions or {})
         start = time.monotonic()
-        repetition_time = start + seconds / 2
+        repetition_time = start + seconds / 2 if actions else math.inf
         deadline = start + seconds
         next_check = start + _SECONDS_BETWEEN_CHECKS
         while missing_robots:
             now = time.monotonic()
-            if actions_to_repeat and now > repetition_time:
-                self._repeat_commands(actions_to_repeat, missing_robots)
-                actions_to_repeat = {}
+            if actions and now > repetition_time:
+                self._repeat_commands(actions, missing_robots)
+                repetition_time = math.inf
                 # However long sending took, robots have the second half of the time for the repetition.
                 deadline = time.monotonic() + seconds / 2
 
             # Wait for a frame, but not beyond what is due next: a check, the repetition or the end.
-            next_event = repetition_time if actions_to_repeat else deadline
-            seconds_to_wait = min(_SECONDS_BETWEEN_CHECKS, max(0.0, next_event - now))
-            frame = self._bus.recv(seconds_to_wait)
-            is_bus_quiet = frame is None
-
+            seconds_to_next_event = max(0.0, min(repetition_time, deadline) - now)
+            frame = self._bus.recv(min(_SECONDS_BETWEEN_CHECKS, seconds_to_next_event))
             # On a bus that is never quiet frames come without end: then the time decides.
-            if is_bus_quiet or now >= next_check:
+            if frame is None or now >= next_check:
                 self.check()
                 next_check = now + _SECONDS_BETWEEN_CHECKS
             if frame is not None and frame.is_rx:  # some buses return the commands sent here
@@ -250,7 +247,7 @@ class Lockstep:
                 yield frame  # the caller may remove its sender from ``missing_robots``
 
             # While frames keep coming, those in the receive buffer still count: for as long once more.
-            last_moment = deadline if is_bus_quiet else deadline + seconds
+            last_moment = deadline if frame is None else deadline + seconds
             if missing_robots and now > last_moment:
                 raise self._missing_error(missing_robots, expected_answer, seconds)
 

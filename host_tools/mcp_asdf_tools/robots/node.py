@@ -415,13 +415,7 @@ def run_node(
     try:
         for frame in node.start():
             link.send(frame)
-        # A tick that is open is finished first, so that its telemetry is not missing at the end.
-        while not node.is_settled or ticks is None or node.ticks < ticks:
-            received_frame = link.receive(_MAX_WAIT)
-            if received_frame is not None:
-                for answer in node.receive_frame(received_frame):
-                    link.send(answer)
-            watch()
+        _follow_commands(node, link, ticks, watch)
     except (Stopped, KeyboardInterrupt):
         outcome.ending = "stopped"
         outcome.is_interrupted = ticks is not None
@@ -429,6 +423,21 @@ def run_node(
         outcome.ending = f"the bus failed: {error}"
         outcome.has_failed = True
     return outcome
+
+
+def _follow_commands(node: RobotNode, link: BusLink, ticks: int | None, watch: Callable[[], None]) -> None:
+    """Receive frames and send the node's answers until it has done ``ticks`` ticks, or for ever if None.
+
+    ``watch`` is called after each wait for a frame. Raises Stopped if the link is asked to stop, and
+    can.CanError if the bus fails.
+    """
+    # A tick that is open is finished first, so that its telemetry is not missing at the end.
+    while not node.is_settled or ticks is None or node.ticks < ticks:
+        received_frame = link.receive(_MAX_WAIT)
+        if received_frame is not None:
+            for answer in node.receive_frame(received_frame):
+                link.send(answer)
+        watch()
 
 
 def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> None:

@@ -16,7 +16,7 @@ from mcp_asdf.robot import (
     Config,
     Filter,
 )
-from mcp_asdf.table import MIN_Q
+from mcp_asdf.table import MIN_Q, Table
 from mcp_asdf_tools.common.parameters import ParameterError, naming_parameter, parameter, parameters_of
 from mcp_asdf_tools.robots.filters import FILTERS, Activation, SwarmFilter
 from mcp_asdf_tools.robots.firmwares import firmware_names
@@ -134,22 +134,23 @@ class Population(WorldSettings):
         return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
 
     def config(self, robot: int) -> Config:
-        """Return the settings of a robot's firmware.
+        """Return the settings of a robot's firmware."""
+        firmware_filter = self.swarm_filter.firmware_filter_of(self.is_flawed(robot), self.activation)
+        # The firmware counts rounds, of comms_period steps each, where the paper's tau counts steps.
+        rounds_between_tests = self.filter_period // self.comms_period
+        return Config(self._table_for(firmware_filter), firmware_filter, rounds_between_tests, self.memory)
 
-        A robot with the adaptive filter has a t-table, the thresholds of its test, with exact entries for up
-        to N - 1 neighbours, but for MIN_Q (2) at least and 127 at most; others have none.
+    def _table_for(self, firmware_filter: Filter) -> Table | None:
+        """Return the t-table, the thresholds of the adaptive filter's test; None for another filter.
+
+        It has exact entries for up to N - 1 neighbours, but for MIN_Q (2) at least and 127 at most.
         """
         from mcp_asdf_tools.tables.thresholds import generate  # noqa: PLC0415 (mpmath loads slowly)
 
-        firmware_filter = self.swarm_filter.firmware_filter_of(self.is_flawed(robot), self.activation)
-        table = None
-        if firmware_filter is Filter.ADAPTIVE:
-            # q is the largest number of neighbours with an entry of its own.
-            q = min(max(self.robots - 1, MIN_Q), MAX_ID)
-            table = generate(self.omega, q)
-        # The firmware counts rounds, of comms_period steps each, where the paper's tau counts steps.
-        rounds_between_tests = self.filter_period // self.comms_period
-        return Config(table, firmware_filter, rounds_between_tests, self.memory)
+        if firmware_filter is not Filter.ADAPTIVE:
+            return None
+        neighbours = min(max(self.robots - 1, MIN_Q), MAX_ID)
+        return generate(self.omega, neighbours)
 
     def setup_of(self, robot: int) -> RobotSetup:
         """Return how a robot starts."""
