@@ -58,13 +58,3 @@ def test_the_program_of_the_readme_prints_what_the_readme_shows(tmp_path: Path) 
     run(require("gcc"), "-m32", "-std=c99", f"-I{CORE.parent}", *sources, "-o", tmp_path / "robot")
 
     assert run(tmp_path / "robot") == block_with(README, "share of black 0.685", "text")
-
-
-def test_no_port_prints_but_the_hosted_one_and_the_node_for_linux() -> None:
-    """The hosted port sends single bytes, so it needs no long. The node has tests of its own."""
-    ports = ROOT / "c_ref/ports"
-    sources = [path for path in ports.rglob("*.[ch]") if path.parent != ports / "linux"]
-
-    printing_files = {path.name for path in sources if PRINTING_CALL.search(path.read_text(encoding="utf-8"))}
-
-    assert printing_files == {"hosted.c"}
