@@ -101,17 +101,22 @@ def start_robot(lines: list[list[str]]) -> MirrorRobot:
     Raises ValueError if they state no start, or one that the firmware refuses.
     """
     try:
-        (word, *settings), *table_lines = lines
+        start_line, *table_lines = lines
+        word, *settings = start_line
         if word != "start":
             raise ValueError(f"the log begins with {word!r}")
         robot_id, b_hat, filter_number, filter_period, memory = map(int, settings)
-        table = None
-        for _word, *table_words in table_lines:
-            table = Table.from_words([int(table_word) for table_word in table_words])
+        table = parse_table(table_lines[0]) if table_lines else None
         config = Config(table, Filter(filter_number), filter_period, memory)
         return MirrorRobot(config, robot_id, b_hat / B_HAT_UNITS)
     except ValueError as error:
         raise ValueError(f"no robot can start so: {error}; see robot_log.h") from error
+
+
+def parse_table(line: list[str]) -> Table:
+    """Return the table in a line ``table,WORD,...``. Raises ValueError if the words are no table."""
+    _word, *table_words = line
+    return Table.from_words([int(table_word) for table_word in table_words])
 
 
 def play_call(robot: MirrorRobot, word: str, numbers: list[int]) -> tuple[list[int], list[int]]:
