@@ -116,22 +116,22 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
     file = _TrialFile(path, _read_json(path))
     experiment = _experiment_of(file)
     number = _trial_number(file, experiment)
-    series = _read_series(file, experiment)  # shape (N, steps + 1) each
-    x_of_one_trial = series["x"][np.newaxis]  # shape (1, N, steps + 1)
-    convergence_steps, errors = convergence_and_errors(experiment, x_of_one_trial, unit=1.0)
-    b_hat_at_filter_steps = _values_of_one_trial(series["b_hat"], every=experiment.filter_period)
-    b_hat_after_filter_steps = b_hat_at_filter_steps[:, 1:]  # without the initial one, at step 0
+    history = _read_history(file, experiment)
+    # The first axis of all arrays of ``Trials`` is the trial, of which there is one.
+    x_series = history["x"].T[np.newaxis]  # shape (1, N, steps + 1)
+    convergence_steps, errors = convergence_and_errors(experiment, x_series, unit=1.0)
+    b_hat_at_filter_steps = history["b_hat"][:: experiment.filter_period]  # from step 0 on
     records = {}
     if sampling_interval:
-        records = {name: _values_of_one_trial(series[name], every=sampling_interval) for name in QUANTITIES}
+        records = {name: history[name][np.newaxis, ::sampling_interval] for name in QUANTITIES}
     return Trials(
         experiment=experiment,
         numbers=[number],
         convergence_steps=convergence_steps,
         errors=errors,
-        b_hat=b_hat_after_filter_steps,
+        b_hat=b_hat_at_filter_steps[np.newaxis, 1:],
         tests=np.zeros((1, experiment.robots), np.int64),  # their files do not say
-        updates=_count_updates(b_hat_at_filter_steps),
+        updates=_count_changes(b_hat_at_filter_steps)[np.newaxis],
         records=records,
         sampling_interval=sampling_interval,
         source=SOURCE,
@@ -146,28 +146,17 @@ def _trial_number(file: _TrialFile, experiment: Experiment) -> int:
     return int(number)
 
 
-def _count_updates(b_hat: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return in how many filter steps b_hat has changed, shape (trials, N).
+def _count_changes(b_hat: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return how often b_hat has changed in each robot, shape (N,), from one of its values to the next.
 
-    ``b_hat`` has the initial values and those after each filter step, shape (trials, filter steps + 1, N).
+    ``b_hat`` has the values of the robots in the order of time, shape (times, N).
     """
-    b_hat_before = b_hat[:, :-1]
-    b_hat_after = b_hat[:, 1:]
-    # NaN, where their programs have divided by 0, is no update.
-    is_update = (b_hat_after != b_hat_before) & ~np.isnan(b_hat_after)
-    filter_step_axis = 1
-    updates: NDArray[np.int64] = is_update.sum(axis=filter_step_axis)
-    return updates
-
-
-def _values_of_one_trial(series: NDArray[np.float64], every: int) -> NDArray[np.float64]:
-    """Return values of shape (N, steps + 1) as ``Trials`` has them, shape (1, samples, N).
-
-    Samples are step 0 and every ``every``-th step from there.
-    """
-    sampled_values = series[:, ::every]  # shape (N, samples)
-    values_by_sample = sampled_values.T  # shape (samples, N)
-    return values_by_sample[np.newaxis]
+    b_hat_before, b_hat_after = b_hat[:-1], b_hat[1:]
+    # NaN, where their programs have divided by 0, is no change.
+    has_changed = (b_hat_after != b_hat_before) & ~np.isnan(b_hat_after)
+    time_axis = 0
+    changes: NDArray[np.int64] = has_changed.sum(axis=time_axis)
+    return changes
 
 
 # --- Parameters ------------------------------------------------------------------------------------------
@@ -331,8 +320,8 @@ def _filter_parameters(file: _TrialFile) -> dict[str, Any]:
 # --- Series ----------------------------------------------------------------------------------------------
 
 
-def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[np.float64]]:
-    """Return the recorded values of all robots by name, shape (N, steps + 1) each, flawed robots first.
+def _read_history(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[np.float64]]:
+    """Return the recorded values of all robots by name, shape (steps + 1, N) each, flawed robots first.
 
     The names are those of _COLUMN_NAMES, such as "x" and "b_hat". Raises UsageError if robots or steps are
     missing, or a number is none that a robot can have.
@@ -346,11 +335,11 @@ def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[
             numbers_by_robot.append(_parse_texts(texts, experiment.steps))
         except ValueError as error:
             raise UsageError(f"{file.path}: data_str of robot {index}: {error}") from error
-    numbers = np.stack(numbers_by_robot)  # shape (N, steps + 1, columns)
     # In the authors' files the flawed robots are the last ones. Rolled on by their number, they are the
     # first.
-    flawed_robots_first = np.roll(numbers, experiment.flawed, axis=0)
-    return {name: flawed_robots_first[:, :, column] for column, name in enumerate(_COLUMN_NAMES)}
+    flawed_robots_first = np.roll(np.stack(numbers_by_robot), experiment.flawed, axis=0)
+    columns = flawed_robots_first.T  # from shape (N, steps + 1, columns) to (columns, steps + 1, N)
+    return dict(zip(_COLUMN_NAMES, columns, strict=True))
 
 
 def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
@@ -372,12 +361,8 @@ def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
 
 
 def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
-    """Raise ValueError, which names a quantity and the first step where it is wrong, if a number is wrong.
-
-    Counts must be 0 <= n <= t <= step. Estimates and accuracies are 0 to 1, and confidences 0 or more and
-    finite. The b_hat on white must equal the b_hat on black. Only the counts must not be NaN.
-    """
-    for name, is_wrong in _wrong_numbers(series).items():
+    """Raise ValueError, which names a quantity and the first step where it is wrong, if a number is wrong."""
+    for name, is_wrong in _find_wrong_numbers(series).items():
         if is_wrong.any():
             step = int(is_wrong.argmax())  # the first one
             raise ValueError(
@@ -385,8 +370,12 @@ def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
             )
 
 
-def _wrong_numbers(series: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.bool_]]:
-    """Return for each quantity in which steps its number is wrong, as ``_check_numbers`` says."""
+def _find_wrong_numbers(series: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.bool_]]:
+    """Return for each quantity of a robot in which steps its number is one that no robot can have.
+
+    Counts must be 0 <= n <= t <= step. Estimates and accuracies are 0 to 1, and confidences 0 or more and
+    finite. The b_hat on white must equal the b_hat on black. Only the counts must not be NaN.
+    """
     n, t = series["n"], series["t"]
     steps = np.arange(len(t))
     # Comparisons with NaN are false: a count of NaN is wrong, and any other value of NaN is not.

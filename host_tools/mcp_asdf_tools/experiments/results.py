@@ -243,8 +243,7 @@ def _mean_final_b_hat(trials: Trials) -> NDArray[np.float64]:
     trial_count, filter_step_count, _robots = trials.b_hat.shape
     if filter_step_count == 0:
         return np.full(trial_count, np.nan)
-    last_filter_step = filter_step_count - 1
-    final_b_hat = trials.b_hat[:, last_filter_step, :]  # shape (trials, N)
+    final_b_hat = trials.b_hat[:, -1]  # shape (trials, N)
     robot_axis = 1
     means: NDArray[np.float64] = final_b_hat.mean(axis=robot_axis)
     return means
