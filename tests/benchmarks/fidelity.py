@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from scipy.stats import ks_2samp  # type: ignore[import-untyped]
 
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import E_MAX, score
+from mcp_asdf_tools.experiments.metrics import score
+from mcp_asdf_tools.experiments.scores import E_MAX
 from mcp_asdf_tools.experiments.trials import run_trials
 
 FOLDER = Path(__file__).parents[1] / "data/reference_scores"

@@ -34,8 +34,9 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.metrics import DELTA, score
 from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
-from mcp_asdf_tools.experiments.scores import DELTA, SCORES, Limits, score
+from mcp_asdf_tools.experiments.scores import SCORES, Limits
 
 PRESENT_FORMAT = 6
 READABLE_FORMATS = (5, PRESENT_FORMAT)

@@ -16,7 +16,8 @@ from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 from mcp_asdf_tools.common.files import write_atomically
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, SCORES, Limits, score
+from mcp_asdf_tools.experiments.metrics import score
+from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, SCORES, Limits
 
 QUANTITIES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 """Recorded values of a robot, named as the attributes of ``Robot``."""

@@ -23,8 +23,8 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import install_instruction
 from mcp_asdf_tools.common.versions import own_version
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.metrics import DELTA, convergence_step
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
-from mcp_asdf_tools.experiments.scores import DELTA, convergence_step
 from mcp_asdf_tools.robots.firmwares import RobotMaker, load_firmware
 from mcp_asdf_tools.world.world import SteppedWorld
 

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks import fidelity
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import score
+from mcp_asdf_tools.experiments.metrics import score
 
 FLOAT64_EXPERIMENTS = fidelity.read_stored_experiments()
 AUTHORS_EXPERIMENTS = fidelity.read_stored_experiments(fidelity.PHYSICS)

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments import scores
+from mcp_asdf_tools.experiments import metrics
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import Limits, convergence_step, score
+from mcp_asdf_tools.experiments.metrics import convergence_step, score
+from mcp_asdf_tools.experiments.scores import Limits
 
 
 def convergence_step_by_definition(series: NDArray[np.float64], delta: float) -> int:
@@ -39,7 +40,7 @@ def test_the_step_of_convergence_is_the_first_from_which_on_no_value_differs_by_
     floats = np.array(values, np.float64)
     expected_step = convergence_step_by_definition(floats, delta=3.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scores, "_CHUNK_LENGTH", values_at_once)
+        patch.setattr(metrics, "_CHUNK_LENGTH", values_at_once)
         assert convergence_step(integers, delta=3.0) == expected_step
         assert convergence_step(floats, delta=3.0) == expected_step
 
