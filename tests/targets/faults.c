@@ -88,8 +88,7 @@ static void opening_a_bus_fails_only_without_what_it_needs(void)
                 CAN_ERR_TX_TIMEOUT | CAN_ERR_CRTL | CAN_ERR_BUSOFF | CAN_ERR_BUSERROR | CAN_ERR_RESTARTED);
 }
 
-/* ---- The timer ------------------------------------------------------------------------------------------
- */
+/* ---- The timer ----------------------------------------------------------------------------------------- */
 
 static void every_expiry_of_a_timer_is_a_tick_or_skipped(void)
 {

@@ -31,8 +31,7 @@ uint8_t slcan_format_frame(char line[SLCAN_LINE_MAX], const mcp_asdf_frame_t *fr
  * whether the line is a frame; if not, *frame is unchanged. O(1). */
 bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length);
 
-/* ---- Outbox: queue of bytes to send, to which whole texts are added --------------------------------------
- */
+/* ---- Outbox: queue of bytes to send, to which whole texts are added ------------------------------------ */
 
 #define OUTBOX_SIZE 256U /* a uint8_t index into the ring of bytes wraps by itself */
 
