@@ -83,14 +83,14 @@ class RobotOnBus:
         self._last_transfer_ids.clear()
 
     def _receive_estimate(self, estimate: Estimate, now: float) -> None:
-        """Keep an estimate and its time, and count it if its alpha has jumped."""
+        """Keep an estimate and its time; count a jump if its alpha has jumped."""
         self.estimate = estimate
         self.estimate_times.append(now)
         if self._alpha_watch.is_jump(estimate.sender, estimate.alpha):
             self.alpha_jumps += 1
 
     def _receive_heartbeat(self, heartbeat: Heartbeat) -> None:
-        """Keep a heartbeat and the one before it, and count it if it shows a second node with this id."""
+        """Keep a heartbeat and the one before it; count a conflict if it shows a second node with this id."""
         if self._shows_conflict(heartbeat):
             self.conflicts += 1
         self._previous_heartbeat = self.heartbeat

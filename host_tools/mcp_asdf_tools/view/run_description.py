@@ -28,9 +28,9 @@ _MAX_UNFILTERED_ROBOT_STEPS = 20_000_000
 def describe_swarm(settings: SwarmSettings) -> RunDescription:
     """Return the description of a swarm's run on an emulated bus, which is trial 0 of its world.
 
-    A swarm that has faults, or accepts estimates of some ids only, lacks the errors without a filter: these
-    are computed without both, so that they would be no fair comparison. Raises UsageError if the arena cannot
-    be made.
+    It has the errors without a filter, which are computed here by another run. That run has neither faults
+    nor refused ids, so it would be no fair comparison for a swarm that has them: it lacks the errors.
+    Raises UsageError if the arena cannot be made.
     """
     faults = tuple((str(fault), fault.start, fault.stop) for fault in settings.faults)
     description = replace(_describe_emulated_run(settings, trial=0), faults=faults)
@@ -40,7 +40,11 @@ def describe_swarm(settings: SwarmSettings) -> RunDescription:
 
 
 def describe_trial(experiment: Experiment, trial: int) -> RunDescription:
-    """Return the description of an experiment's trial. Raises UsageError if the arena cannot be made."""
+    """Return the description of an experiment's trial.
+
+    It has the errors without a filter, which are computed here by another run. Raises UsageError if the arena
+    cannot be made.
+    """
     description = _describe_emulated_run(experiment, trial)
     return replace(description, unfiltered_errors=_compute_unfiltered_errors(experiment, trial))
 
