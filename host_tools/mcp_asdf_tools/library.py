@@ -17,7 +17,9 @@ from mcp_asdf_tools.experiments.scores import E_MAX, Limits
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 if TYPE_CHECKING:
+    import numpy as np
     import pyarrow as pa  # type: ignore[import-untyped]
+    from numpy.typing import NDArray
 
     from mcp_asdf_tools.experiments.plots.bands import plot_bands
     from mcp_asdf_tools.experiments.plots.boxes import plot_boxes
@@ -238,10 +240,7 @@ def _replay_to_tidy_tables(log: Path) -> Iterator[pa.Table]:
 
     Raises UsageError if the log has no events beside it or is not of a swarm, or if the events are damaged.
     """
-    import numpy as np
-
     from mcp_asdf_tools.experiments.results import QUANTITIES
-    from mcp_asdf_tools.experiments.tidy_tables import tidy_table
     from mcp_asdf_tools.recording.events import EventsReader, events_path
     from mcp_asdf_tools.swarm.log_replay import read_swarm_settings, replay_values
 
@@ -253,19 +252,33 @@ def _replay_to_tidy_tables(log: Path) -> Iterator[pa.Table]:
         )
     with EventsReader(events_file) as events:
         settings = read_swarm_settings(log, events.header)
-        values_by_tick = replay_values(events, settings.steps, QUANTITIES)  # shape (quantities, N) each
-        ticks_at_once = max(1, _ROWS_AT_ONCE // settings.robots)
-        first_tick = 0
-        # In each turn the next ticks are taken; when none is left, the list is empty and ends the loop.
-        while values_of_ticks := list(islice(values_by_tick, ticks_at_once)):
-            ticks = first_tick + np.arange(len(values_of_ticks))
-            series_by_quantity = np.stack(values_of_ticks, axis=1)  # shape (quantities, ticks, N)
-            # The table wants an axis for trials, too: of one trial, the shape (1, ticks, N).
-            values = {
-                name: series[np.newaxis] for name, series in zip(QUANTITIES, series_by_quantity, strict=True)
-            }
-            yield tidy_table(settings, parameter_names=(), trial_numbers=[0], steps=ticks, values=values)
-            first_tick += len(values_of_ticks)
+        yield from _tidy_tables_of_ticks(settings, replay_values(events, settings.steps, QUANTITIES))
+
+
+def _tidy_tables_of_ticks(
+    settings: SwarmSettings, values_by_tick: Iterator[NDArray[np.float64]]
+) -> Iterator[pa.Table]:
+    """Yield tidy tables of the values of all ticks, some ticks in each table.
+
+    The values of a tick have the shape (quantities, N).
+    """
+    import numpy as np
+
+    from mcp_asdf_tools.experiments.results import QUANTITIES
+    from mcp_asdf_tools.experiments.tidy_tables import tidy_table
+
+    ticks_at_once = max(1, _ROWS_AT_ONCE // settings.robots)
+    first_tick = 0
+    # In each turn the next ticks are taken; when none is left, the list is empty and ends the loop.
+    while values_of_ticks := list(islice(values_by_tick, ticks_at_once)):
+        ticks = first_tick + np.arange(len(values_of_ticks))
+        series_by_quantity = np.stack(values_of_ticks, axis=1)  # shape (quantities, ticks, N)
+        # The table wants an axis for trials, too: of one trial, the shape (1, ticks, N).
+        values = {
+            name: series[np.newaxis] for name, series in zip(QUANTITIES, series_by_quantity, strict=True)
+        }
+        yield tidy_table(settings, parameter_names=(), trial_numbers=[0], steps=ticks, values=values)
+        first_tick += len(values_of_ticks)
 
 
 # --- Pictures --------------------------------------------------------------------------------------------
