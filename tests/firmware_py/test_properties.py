@@ -280,31 +280,20 @@ def make_calls(robot: FixedPoint, calls: list[RobotCall]) -> None:
 @pytest.mark.parametrize("mode", [Filter.ROBUST, *slow([Filter.ALWAYS])])
 @thorough
 @given(calls=call_lists)
-def test_a_robot_finds_its_memory_undamaged_after_every_sequence_of_calls(
+def test_a_robot_has_undamaged_memory_and_is_restored_with_it_after_every_sequence_of_calls(
     firmware: FixedPointFirmware, mode: Filter, calls: list[RobotCall]
 ) -> None:
-    """``holds_invariants`` says whether calls alone can have led to a robot's memory (property I11)."""
-    robot = firmware(Config(filter=mode, filter_period=1, memory=64), OWN_ID, b_hat=0.75)
+    """``holds_invariants`` says whether calls alone can have led to a robot's memory (property I11).
+
+    The robot that is restored from what it saves has the same memory (property I17).
+    """
+    config = Config(filter=mode, filter_period=1, memory=64)
+    robot = firmware(config, OWN_ID, b_hat=0.75)
 
     make_calls(robot, calls)
 
     assert robot.holds_invariants()
-
-
-@for_fixed_point_firmwares
-@pytest.mark.parametrize("mode", [Filter.ROBUST, *slow([Filter.ALWAYS])])
-@thorough
-@given(calls=call_lists)
-def test_a_restored_robot_is_the_saved_one(
-    firmware: FixedPointFirmware, mode: Filter, calls: list[RobotCall]
-) -> None:
-    """Whatever calls a robot had, the robot that is restored from it has the same memory (property I17)."""
-    config = Config(filter=mode, filter_period=1, memory=64)
-    robot = firmware(config, OWN_ID, b_hat=0.75)
-    make_calls(robot, calls)
-
     restored_robot = firmware.restore(config, robot.save())
-
     assert restored_robot.state() == robot.state()
 
 

@@ -141,10 +141,13 @@ def tries(file: str) -> tuple[list[Try], list[Try]]:
     variants = VARIANTS_OF.get(file, ALL_VARIANTS)
     if file in CODEC_TESTS:
         return [Try(test, variants[0]) for test in CODEC_TESTS[file]], []
-    few_calls = [Try(THIRD, variant) for variant in variants]
-    core_tries = [Try("core", variant) for variant in variants if variant not in BUILDS]
+    quick_tries = []
+    for variant in variants:
+        quick_tries.append(Try(THIRD, variant))
+        if variant not in BUILDS:
+            quick_tries.append(Try("core", variant))
     many_calls = [Try(THIRD, variant, MANY_CALLS) for variant in variants]
-    return few_calls + core_tries, [*many_calls, Try(THIRD, variants[0], MOST_CALLS)]
+    return quick_tries, [*many_calls, Try(THIRD, variants[0], MOST_CALLS)]
 
 
 def first_failing_test(mutant: Mutant, folder: Path, is_patient: bool = True) -> str:
