@@ -178,8 +178,8 @@ FAULTS = {
         "is_rejected = robust_test_rejects({robust => "
         "RobustFilter(**vars(robust) | {'initial_b_hat': s.accuracy.b_hat})}, s.t"
     ),
-    "robust test: n/t of 23 bits": "share = q32_quotient(n, t){ =>  >> 9 << 9}\n    p = ",
-    "robust test: p of 23 bits": (
+    "precision: n/t of 23 bits": "share = q32_quotient(n, t){ =>  >> 9 << 9}\n    p = ",
+    "precision: p of 23 bits": (
         "return {black_observed_as_black + white_observed_as_black => "
         "(black_observed_as_black + white_observed_as_black) >> 9 << 9}"
     ),

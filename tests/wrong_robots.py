@@ -403,7 +403,7 @@ ROBUST_FAULTS_BY_PHASE: dict[str, tuple[str, ...]] = {
         "robust test: no spread",
         "robust test: variance of the count alone",
         "robust test: tests the present b_hat",
-        "robust test: p of 23 bits",
+        "precision: p of 23 bits",
         "robust test: sigmas",
         "robust test: sigmas of the centre",
         "robust test: variance",
@@ -427,7 +427,7 @@ ROBUST_FAULTS_BY_PHASE: dict[str, tuple[str, ...]] = {
     "no confidence of its own": ("vote: own estimate without confidence",),
     "test of a wide spread": (
         "dispersion: outlier",
-        "robust test: n/t of 23 bits",
+        "precision: n/t of 23 bits",
     ),
     "supporters": (
         "supporters: none",

@@ -139,8 +139,9 @@ def vote_with_every_slot(bench: Bench) -> None:
 
     These are 32 estimates, one in each slot. A vote moves the controller's answer x, and after all 32 its own
     estimate votes. Then the estimates of some slots are replaced, and the turn goes on from where it was.
+    The first round is that of a test, in which all estimates are farther than the spread from their centre.
     """
-    _fill_slots(bench, "estimates of the extremes in all slots", _extremes(SLOTS))
+    _play_test(bench, "estimates of the extremes in all slots", _extremes(SLOTS))
     _let_rounds_vote(bench, _ROUNDS_OF_ALL_VOTES + 2)  # and the first two slots again
     _fill_slots(bench, "new estimates in some slots", [SLOT_HALF + slot for slot in range(5)])
     _let_rounds_vote(bench, _ROUNDS_OF_ALL_VOTES)
