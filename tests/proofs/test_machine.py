@@ -64,10 +64,22 @@ def is_below_half(word: Any) -> Any:
             id="a shorter type keeps the lower bits",
         ),
         pytest.param(
-            "return (int32_t)a < b;",
-            lambda r, a, b: (r == 1) == z3.ULT(a, b),
+            "return (int32_t)a < 7U;",
+            lambda r, a, b: (r == 1) == z3.ULT(a, 7),
             lambda r, a, b: z3.Implies(a < 0, r == 1),
             id="a negative number becomes a large one beside an unsigned one",
+        ),
+        pytest.param(
+            "return (int32_t)a < 0x80000000;",
+            lambda r, a, b: (r == 1) == z3.ULT(a, 2**31),
+            lambda r, a, b: r == 0,
+            id="a hexadecimal number that fits no int is unsigned",
+        ),
+        pytest.param(
+            "const _Bool is_set = (_Bool)a; return is_set;",
+            lambda r, a, b: (r == 1) == (a != 0),
+            lambda r, a, b: r == a & 1,
+            id="a truth value is 1 for every number but 0",
         ),
         pytest.param(
             "uint32_t words[2]; words[0] = a; words[1] = b; words[b & 1U] = 0; return words[0];",
