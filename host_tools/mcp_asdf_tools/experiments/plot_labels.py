@@ -6,9 +6,8 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from mcp_asdf_tools.common.figures import format_for_legend
-from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.results import Trials, find_differences
 from mcp_asdf_tools.experiments.scores import Limits
 from mcp_asdf_tools.robots.filters import FILTERS
 
@@ -68,20 +67,14 @@ def varying_parameters(experiments: Sequence[Trials], excluded: Collection[str])
 
     Values that have no effect in their experiment do not count.
     """
-    return [
-        parameter_name
-        for parameter_name in parameters_of(Experiment)
-        if parameter_name not in excluded and len(_effective_values(experiments, parameter_name)) > 1
-    ]
+    differences = find_differences(_effective_parameters(trials.experiment) for trials in experiments)
+    return [parameter_name for parameter_name in differences if parameter_name not in excluded]
 
 
-def _effective_values(experiments: Sequence[Trials], parameter_name: str) -> set[Any]:
-    """Return the values of a parameter in those experiments in which it has an effect."""
-    return {
-        trials.experiment.parameters()[parameter_name]
-        for trials in experiments
-        if has_effect(trials.experiment, parameter_name)
-    }
+def _effective_parameters(experiment: Experiment) -> dict[str, Any]:
+    """Return the parameters of an experiment that have an effect in it, with their values."""
+    parameters = experiment.parameters()
+    return {name: value for name, value in parameters.items() if has_effect(experiment, name)}
 
 
 def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
@@ -127,10 +120,11 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     filter_names = {filter_name(trials.experiment) for trials in experiments}
     if len(filter_names) == 1:
         details.append(filter_names.pop())
-    for parameter_name in _CAPTION_PARAMETERS:
-        values = _effective_values(experiments, parameter_name)
+    all_parameters = [_effective_parameters(trials.experiment) for trials in experiments]
+    for name in _CAPTION_PARAMETERS:
+        values = {parameters[name] for parameters in all_parameters if name in parameters}
         if len(values) == 1:
-            details.append(f"{parameter_name.replace('_', ' ')} {format_for_legend(values.pop())}")
+            details.append(f"{name.replace('_', ' ')} {format_for_legend(values.pop())}")
     details.append(f"{_describe_trial_counts(experiments)} trials of each experiment")
     details.append(_describe_limits(experiments, limits))
     return f"{', '.join(details)}; {marks}."
