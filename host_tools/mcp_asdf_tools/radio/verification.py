@@ -22,6 +22,7 @@ from mcp_asdf_tools.radio.filter_phases import SIZES_AT_THRESHOLD, required_upda
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, can_fill_memory, can_wait_for_tests
 from mcp_asdf_tools.radio.protocol_phases import CROWDED_MESSAGES
+from mcp_asdf_tools.radio.robust_phases import can_contradict_extreme_estimate, can_estimates_decide_test
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
@@ -195,6 +196,14 @@ def not_checked(setup: RobotSetup) -> list[str]:
         (has_asdf_filter, "a re-estimate from tiles of both colours before some 200 observations"),
         (has_robust_filter, "rounding of its test below that of float64, and ties of those that support it"),
         (has_robust_filter, "the last step to the centre of its estimates, which seldom moves it"),
+        (
+            has_robust_filter and not can_estimates_decide_test(setup),
+            "its test at the threshold: its b_hat is too close to 1/2",
+        ),
+        (
+            has_robust_filter and not can_contradict_extreme_estimate(setup),
+            "those that support it, and a b_hat of exactly 1/2: a run has too few observations",
+        ),
         (True, f"more than {CROWDED_MESSAGES} messages in a tick"),
         (True, "its own clock, sensor and telemetry period: commands replace them"),
         (True, "saving and restoring of its state"),

@@ -514,6 +514,17 @@ NEVER_CHECKED = [
             ["the test: it re-estimates always", "rounds longer", *RE_ESTIMATES_NOT_CHECKED],
         ),
         (
+            ROBUST_FILTER | {"memory": 64, "b_hat": 0.5},
+            [
+                "rounds longer",
+                "a counter of more than 257 updates",
+                "rounding of its test",
+                "the last step",
+                "its test at the threshold",
+                "those that support it, and a b_hat of exactly 1/2",
+            ],
+        ),
+        (
             {"filter_period": 5, "comms_period": 5, "memory": 20_004},
             ["thresholds", "rounds without a test", "forgetting", *RE_ESTIMATES_NOT_CHECKED],
         ),
