@@ -96,22 +96,39 @@ def smallest(values: Sequence[Sequence[float]]) -> float:
 
 
 def agrees(part: str) -> bool:
-    """Print a part as a table; whether all its tests pass."""
+    """Print a part as a table, and return whether all its tests pass."""
     path, trials = PARTS[part]
     stored_experiments = read_stored_experiments(path)
+    experiments = [stored.experiment for stored in stored_experiments]
     with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        samples = list(
-            pool.map(partial(simulate, trials=trials), [stored.experiment for stored in stored_experiments])
-        )
+        samples = list(pool.map(partial(simulate, trials=trials), experiments))
+
     print(f"\n{part}: medians of H, ours and the other; p-values of {', '.join(SCORES)}")
-    values = [p_values(own, stored.scores) for own, stored in zip(samples, stored_experiments, strict=True)]
-    for stored, own, ps in zip(stored_experiments, samples, values, strict=True):
-        e, medians = stored.experiment, [np.median(sample[:, 2]) for sample in (own, stored.scores)]
-        place = (e.robots, e.fill_ratio, e.true_accuracy, e.flawed_accuracy, e.flawed, e.filter_period)
-        print(*place, e.filter, *(f"{each:8.3g}" for each in (*medians, *ps)))
+    values = []
+    for stored, our_scores in zip(stored_experiments, samples, strict=True):
+        values.append(p_values(our_scores, stored.scores))
+        print_row(stored, our_scores, values[-1])
     least = smallest(values)
     print(f"smallest p by Holm's correction over {3 * len(stored_experiments)} tests: {least:.3g}")
     return least >= LEVEL
+
+
+def print_row(stored: StoredExperiment, our_scores: Floats, p_values_of_scores: list[float]) -> None:
+    """Print an experiment's parameters, the medians of H, ours and the other, and its p-values."""
+    e = stored.experiment
+    print(
+        e.robots,
+        e.fill_ratio,
+        e.true_accuracy,
+        e.flawed_accuracy,
+        e.flawed,
+        e.filter_period,
+        e.filter,
+        end="",
+    )
+    for number in (np.median(our_scores[:, 2]), np.median(stored.scores[:, 2]), *p_values_of_scores):
+        print(f" {number:8.3g}", end="")
+    print()
 
 
 def main() -> int:

@@ -72,20 +72,34 @@ class Try:
 
 def passes(folder: Path, attempt: Try) -> bool:
     """Return whether the test passes with the sources in the folder."""
-    flags = ["-w", "-DCHECK_ONCE", f"-I{folder}", f"-I{PORTS}", *_flags(attempt.variant)]
-    flags += ["-include", str(COUNT_LEADING_ZEROS)]
-    if attempt.test != THIRD:
-        linked_sources = [folder / name for name in LINKED.get(attempt.test, ())]
-        ports = PORTS.glob("node/*.c") if attempt.test == "node" else ()
-        test_source = TESTS / f"test_{attempt.test}.c"
-        return _succeeds("tcc", *flags, *linked_sources, *ports, TABLE, "-run", test_source)
+    if attempt.test == THIRD:
+        return _third_passes(folder, attempt)
+    return _c_test_passes(folder, attempt)
+
+
+def _c_test_passes(folder: Path, attempt: Try) -> bool:
+    """Return whether a C test passes, which tcc compiles with the sources in the folder and runs at once."""
+    linked_sources = [folder / name for name in LINKED.get(attempt.test, ())]
+    ports = PORTS.glob("node/*.c") if attempt.test == "node" else ()
+    flags = _flags_of_tcc(folder, attempt.variant)
+    test_source = TESTS / f"test_{attempt.test}.c"
+    return _succeeds("tcc", *flags, *linked_sources, *ports, TABLE, "-run", test_source)
+
+
+def _third_passes(folder: Path, attempt: Try) -> bool:
+    """Return whether the independent implementation finds no difference from the core in the folder.
+
+    It is a program that loads the core as a library, which tcc makes. A core that does not compile fails.
+    """
+    program = _third(*([f"-D{attempt.variant.target}"] if attempt.variant in BUILDS else []))
+    flags = _flags_of_tcc(folder, attempt.variant)
     core = (folder / "mcp_asdf.c", folder / "mcp_asdf_image.c")
-    third = _third(*([f"-D{attempt.variant.target}"] if attempt.variant in BUILDS else []))
     with TemporaryDirectory() as library_folder:
-        library = Path(library_folder) / CORE_LIBRARY
-        run_third, seconds = (third, "1", str(attempt.calls)), SECONDS_BY_CALLS[attempt.calls]
-        is_built = _succeeds("tcc", *flags, "-shared", *core, "-o", library)
-        return is_built and _succeeds(*run_third, seconds=seconds, LD_LIBRARY_PATH=library_folder)
+        if not _succeeds("tcc", *flags, "-shared", *core, "-o", Path(library_folder, CORE_LIBRARY)):
+            return False
+        seed, calls = "1", str(attempt.calls)
+        seconds = SECONDS_BY_CALLS[attempt.calls]
+        return _succeeds(program, seed, calls, seconds=seconds, LD_LIBRARY_PATH=library_folder)
 
 
 @cache
@@ -111,9 +125,14 @@ def third_object(folder: Path, *flags: str) -> Path:
     return object_file
 
 
-def _flags(variant: Variant) -> list[str]:
-    """Return the flags of a variant. An AVR gets its own code, but reads flash as this machine does."""
-    flags = ["-std=c99", *variant.flags()]
+def _flags_of_tcc(folder: Path, variant: Variant) -> list[str]:
+    """Return the flags with which tcc compiles the sources in a folder, without warnings, for a variant.
+
+    An AVR gets its own code, but reads flash as this machine does. With CHECK_ONCE a C test ends at the first
+    check that fails.
+    """
+    flags = ["-std=c99", "-w", "-DCHECK_ONCE", f"-I{folder}", f"-I{PORTS}", *variant.flags()]
+    flags += ["-include", str(COUNT_LEADING_ZEROS)]
     if variant == AVR:
         flash_readers = ("ROM=", "READ_WORD(address)=(*(address))", "READ_BYTE(address)=(*(address))")
         flags += [f"-DMCP_ASDF_{reader}" for reader in flash_readers]
@@ -141,13 +160,10 @@ def tries(file: str) -> tuple[list[Try], list[Try]]:
     variants = VARIANTS_OF.get(file, ALL_VARIANTS)
     if file in CODEC_TESTS:
         return [Try(test, variants[0]) for test in CODEC_TESTS[file]], []
-    quick_tries = []
-    for variant in variants:
-        quick_tries.append(Try(THIRD, variant))
-        if variant not in BUILDS:
-            quick_tries.append(Try("core", variant))
+    few_calls = [Try(THIRD, variant) for variant in variants]
+    core_tests = [Try("core", variant) for variant in variants if variant not in BUILDS]
     many_calls = [Try(THIRD, variant, MANY_CALLS) for variant in variants]
-    return quick_tries, [*many_calls, Try(THIRD, variants[0], MOST_CALLS)]
+    return few_calls + core_tests, [*many_calls, Try(THIRD, variants[0], MOST_CALLS)]
 
 
 def first_failing_test(mutant: Mutant, folder: Path, is_patient: bool = True) -> str:

@@ -84,6 +84,13 @@ class Baseline:
             key=self.seconds.__getitem__,
         )
 
+    def add(self, other: Baseline) -> None:
+        """Add what other tests do, which are run with the same marks."""
+        self.seconds |= other.seconds
+        self.failed += other.failed
+        for statement, test_ids in other.tests_of_statement.items():
+            self.tests_of_statement.setdefault(statement, []).extend(test_ids)
+
 
 def run_baseline(mutants: Iterable[Mutant], folders: Iterable[Path], marks: str = "not slow") -> Baseline:
     """Run the tests of these folders once, and record which of them run the statements of these mutants.
@@ -96,22 +103,25 @@ def run_baseline(mutants: Iterable[Mutant], folders: Iterable[Path], marks: str 
     """
     for library in SLOW_LIBRARIES:
         importlib.import_module(library)
-    probes_by_file: dict[Path, dict[int, str]] = {}
-    for mutant in mutants:
-        file_probes = probes_by_file.setdefault(mutant.path, {})
-        file_probes[mutant.statement_index] = f"{PROBE}({_statement_key(mutant)!r})"
+    probes_by_file = _probes_of(mutants)
     baseline = Baseline(marks)
     with TemporaryDirectory() as temporary_folder:
         record_file = Path(temporary_folder) / "record.json"
         for folder in sorted(set(folders)):
             if not _succeeds_in_child(partial(_record_folder, record_file, probes_by_file, folder, marks)):
                 raise RuntimeError(f"{folder}: its tests ended without a record")
-            folder_baseline = Baseline(**json.loads(record_file.read_text(encoding="utf-8")))
-            baseline.seconds |= folder_baseline.seconds
-            baseline.failed += folder_baseline.failed
-            for statement, test_ids in folder_baseline.tests_of_statement.items():
-                baseline.tests_of_statement.setdefault(statement, []).extend(test_ids)
+            record = json.loads(record_file.read_text(encoding="utf-8"))
+            baseline.add(Baseline(**record))
     return baseline
+
+
+def _probes_of(mutants: Iterable[Mutant]) -> dict[Path, dict[int, str]]:
+    """Return calls of the probe for the statements that mutants change, by file and index of statement."""
+    probes_by_file: dict[Path, dict[int, str]] = {}
+    for mutant in mutants:
+        probes = probes_by_file.setdefault(mutant.path, {})
+        probes[mutant.statement_index] = f"{PROBE}({_statement_key(mutant)!r})"
+    return probes_by_file
 
 
 def _statement_key(mutant: Mutant) -> str:

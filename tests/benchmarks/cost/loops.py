@@ -12,9 +12,10 @@ entries are reached from inside the loop. The optimum is at least the cost of an
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog  # type: ignore[import-untyped]
@@ -91,33 +92,48 @@ def longest_path(
     """
     edges = [(_CALLER, start)] + [(number, end) for number in graph for end in graph[number]]
     origins, ends = np.array(edges).T
-    # Each row of the matrix, times the numbers of takes of all edges, is at most its limit.
+    # Each row of the matrix, times the numbers of takes of all edges, is at most its limit. The first rows
+    # say that an instruction is left no more often than it is reached.
     rows = [1.0 * (origins == number) - (ends == number) for number in graph]
     limits = [0] * len(rows)
-    bounded_lines: set[str] = set()
+    unused_bounds = dict(bounds)
     for loop in _find_loops(set(edges), edges):
-        lines = {source_lines[number] for number in loop.members if number in source_lines}
-        lines_of_loop_bounds = (lines & bounds.keys()) - bounded_lines
-        if not lines_of_loop_bounds:
-            raise ValueError(f"there is a loop without a bound in the source: {sorted(lines)}")
-        bounded_lines |= lines_of_loop_bounds
-        # Instructions of other lines may have been moved into the loop: the largest of their bounds is safe.
-        bound = max((bounds[line] for line in lines_of_loop_bounds), key=lambda bound: bound.turns)
-        from_inside = np.isin(origins, list(loop.members))
-        entrances = np.isin(ends, list(loop.entries)) & ~from_inside
-        for entry in loop.entries:
-            returns = (ends == entry) & from_inside
-            rows.append(returns - _most_returns_to_an_entry(loop, edges, bound) * 1.0 * entrances)
-            limits.append(0)
-            if bound.in_all is not None:
-                rows.append(1.0 * returns)
-                limits.append(bound.in_all)
+        bound = _take_bound(loop, source_lines, unused_bounds)
+        for row, limit in _limits_of_returns(loop, bound, edges):
+            rows.append(row)
+            limits.append(limit)
     costs = [-weights[end] for end in ends]
     takes = [(1, 1)] + [(0, None)] * (len(edges) - 1)
     result = linprog(costs, A_ub=csr_array(np.array(rows)), b_ub=limits, bounds=takes)
     if not result.success:
         raise ValueError(f"no longest path: {result.message}")
     return int(-result.fun + 1e-6)
+
+
+def _take_bound(loop: Loop, source_lines: Mapping[int, str], unused_bounds: dict[str, Bound]) -> Bound:
+    """Return the bound of a loop; all bounds at the loop's lines are removed from ``unused_bounds``.
+
+    Raises ValueError if there is none.
+    """
+    lines = {source_lines[number] for number in loop.members if number in source_lines}
+    bounds_of_loop = [unused_bounds.pop(line) for line in lines if line in unused_bounds]
+    if not bounds_of_loop:
+        raise ValueError(f"there is a loop without a bound in the source: {sorted(lines)}")
+    # Instructions of other lines may have been moved into the loop: the largest of their bounds is safe.
+    return max(bounds_of_loop, key=lambda bound: bound.turns)
+
+
+def _limits_of_returns(loop: Loop, bound: Bound, edges: list[Edge]) -> Iterator[tuple[Any, int]]:
+    """Yield rows of the matrix with their limits: how often the loop's entries are reached from inside."""
+    origins, ends = np.array(edges).T
+    from_inside = np.isin(origins, list(loop.members))
+    entrances = np.isin(ends, list(loop.entries)) & ~from_inside
+    most_returns = _most_returns_to_an_entry(loop, edges, bound)
+    for entry in loop.entries:
+        returns = 1.0 * ((ends == entry) & from_inside)
+        yield returns - most_returns * entrances, 0
+        if bound.in_all is not None:
+            yield returns, bound.in_all
 
 
 def _most_returns_to_an_entry(loop: Loop, edges: Iterable[Edge], bound: Bound) -> int:
