@@ -9,7 +9,7 @@ from importlib import metadata
 
 def own_version() -> str:
     """Return the version of this project that is installed."""
-    return metadata.version("mcp-asdf")
+    return _version("mcp-asdf")
 
 
 def software_versions() -> dict[str, str]:
