@@ -28,7 +28,7 @@ from mcp_asdf_tools.studies.cells import (
     cell_of,
     experiment_of,
 )
-from mcp_asdf_tools.studies.study_results import StudyResults, users_name_of
+from mcp_asdf_tools.studies.study_results import StudyResults
 
 NO_FILTER: str = "none"
 ASDF_MINUS: str = "asdf-minus"
@@ -232,7 +232,7 @@ def _draw_score_scatters(study_results: StudyResults, study_part: StudyPart) -> 
     )
     users_trials = study_results.users_trials_of(study_part)
     if users_trials:
-        users_name = users_name_of(users_trials[0].experiment)
+        users_name = study_results.users_name
         yield _make_picture(
             name=f"{study_part.value}_scatter_{users_name}",
             title=f"The same with {users_name}",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -137,12 +136,8 @@ def values_of(experiments: Iterable[Experiment], parameter: str) -> set[Any]:
 # --- Tables in Markdown ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table in Markdown: the heads of its columns, and the cells of its rows by their labels."""
-
-    columns: list[str]
-    rows: dict[str, list[str]]
+Table = dict[str, dict[str, str]]
+"""The cells of a table in Markdown by row and column. A row has its first cell as its name."""
 
 
 def tables_in(path: Path) -> dict[str, Table]:
@@ -155,7 +150,8 @@ def tables_in(path: Path) -> dict[str, Table]:
 def parse_table(markdown: str) -> Table:
     """Read a table: a line with the heads of its columns, a line that only separates, and lines with rows."""
     head, _separator, *rows = [cells_of_line(line) for line in markdown.splitlines()]
-    return Table(columns=head[1:], rows={label: cells for label, *cells in rows})
+    _corner, *columns = head
+    return {row: dict(zip(columns, cells, strict=True)) for row, *cells in rows}
 
 
 def page_path(name: str) -> Path:

@@ -15,7 +15,6 @@ import pytest
 
 import mcp_asdf_tools as m
 from host_tools.studies.conftest import (
-    Table,
     page_path,
     rare_resampling,
     tables_in,
@@ -166,8 +165,8 @@ def test_the_program_writes_its_tables_of_both_filters_its_picture_and_its_resul
     tables = tables_in(tmp_path / "small_messages.md")
 
     assert list(tables) == ["exact", "asdf_minus", "robust", "close"]
-    assert list(tables["asdf_minus"].rows) == ["x_hat 4", "x_hat 16"]
-    assert list(tables["robust"].rows) == ["x_hat 4", "x_hat 16"]
+    assert list(tables["asdf_minus"]) == ["x_hat 4", "x_hat 16"]
+    assert list(tables["robust"]) == ["x_hat 4", "x_hat 16"]
     assert (tmp_path / "small_messages.png").read_bytes().startswith(b"\x89PNG")
     for file, filter_name in (("asdf-minus", "asdf-minus"), ("robust", "robust"), ("close", "asdf-minus")):
         results = m.experiments_in(m.read_table(tmp_path / f"small_messages_{file}.parquet"))
@@ -178,11 +177,6 @@ def test_the_program_writes_its_tables_of_both_filters_its_picture_and_its_resul
 # --- The page --------------------------------------------------------------------------------------------
 
 
-def table_on_page(name: str) -> Table:
-    """Return a table of the page about small messages."""
-    return tables_in(page_path("small_messages"))[name]
-
-
 @pytest.mark.parametrize(("table", "alpha_choices"), [("asdf_minus", 5), ("robust", 1)])
 def test_the_page_about_small_messages_has_a_ratio_of_errors_for_every_code(
     table: str, alpha_choices: int
@@ -191,11 +185,11 @@ def test_the_page_about_small_messages_has_a_ratio_of_errors_for_every_code(
 
     The errors with such messages are at least half as large as with exact ones.
     """
-    ratios_by_row = table_on_page(table).rows
+    ratios_by_row = tables_in(page_path("small_messages"))[table]
 
     assert list(ratios_by_row) == ["x_hat 4", "x_hat 5", "x_hat 6", "x_hat 7", "x_hat 8", "x_hat 16"]
     for ratios in ratios_by_row.values():
         assert len(ratios) == alpha_choices
-        for ratio in ratios:
+        for ratio in ratios.values():
             ratio_without_bold_type = ratio.strip("*")
             assert float(ratio_without_bold_type) > 0.5

@@ -208,8 +208,8 @@ def test_the_program_of_a_study_writes_its_tables_its_picture_and_its_results(
     tables = tables_in(tmp_path / f"{study}.md")
     assert list(tables) == marks
     for table in tables.values():
-        assert table.columns == ["no filter", "robust"]
-        assert list(table.rows) == ["a row"]
+        assert list(table) == ["a row"]
+        assert list(table["a row"]) == ["no filter", "robust"]
     assert (tmp_path / f"{study}.png").read_bytes().startswith(b"\x89PNG")
     sampling_intervals = {}
     for path in tmp_path.glob("*.parquet"):
@@ -233,10 +233,10 @@ def test_the_rows_in_a_table_of_a_page_are_rows_of_its_study(
     rows_of_study: Callable[[], dict[str, Any]], page: str, mark: str
 ) -> None:
     """A mark in the Markdown of the page names the table. The page may leave out rows, but adds none."""
-    rows_on_page = tables_in(page_path(page))[mark].rows
+    table_on_page = tables_in(page_path(page))[mark]
 
-    assert rows_on_page != {}
-    assert rows_on_page.keys() <= rows_of_study().keys()
+    assert table_on_page != {}
+    assert table_on_page.keys() <= rows_of_study().keys()
 
 
 @pytest.mark.slow
@@ -254,12 +254,6 @@ def test_the_quick_form_of_a_program_measures_something_in_all_its_experiments(
 
     assert "nan" not in (tmp_path / f"{name}.md").read_text(encoding="utf-8")
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-
-
-def texts_on_page(page: str, mark: str, row: str) -> dict[str, str]:
-    """Return the cells of a row of a table on a page of docs/internals/, by the heads of their columns."""
-    table = tables_in(page_path(page))[mark]
-    return dict(zip(table.columns, table.rows[row], strict=True))
 
 
 TEXT_OF_CELL = {"colour": related_work.right_text, "harm": two_readings.harm_text}
@@ -292,9 +286,9 @@ def test_a_row_that_is_simulated_again_gives_the_numbers_on_the_page_of_its_stud
 
     simulated = parse_table(study_program.markdown_table("", {row: results}, text_of_cell))
 
-    cells_on_page = texts_on_page(page, mark, row)
-    for column, text in zip(simulated.columns, simulated.rows[row], strict=True):
-        assert text == cells_on_page[column]
+    row_on_page = tables_in(page_path(page))[mark][row]
+    for column, text in simulated[row].items():
+        assert text == row_on_page[column]
 
 
 @pytest.mark.slow
@@ -318,5 +312,5 @@ def test_a_trial_with_a_robot_that_knows_how_it_ages_has_about_the_error_on_the_
 
     trial = run_trials(experiment, first=0, trials=1, sampling_interval=1000)
 
-    error_on_page = float(texts_on_page("ageing", "peers", row)[column])
+    error_on_page = float(tables_in(page_path("ageing"))["peers"][row][column])
     assert study_program.late_errors(trial) == pytest.approx([error_on_page], rel=0.5)

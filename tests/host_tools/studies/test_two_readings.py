@@ -62,8 +62,8 @@ def test_two_independent_readings_harm_no_healthy_robot() -> None:
 def test_sensors_that_repeat_a_tenth_of_their_readings_harm_as_many_healthy_robots_as_the_page_says() -> None:
     """Such a sensor disagrees less often with itself, and seems better. The page has six such trials."""
     row = "none flawed, tenth repeated, overconfident"
-    table = tables_in(page_path("two_readings"))["harm"]
+    percent_on_page = tables_in(page_path("two_readings"))["harm"][row]["two readings"]
 
     percent_harmed = two_readings.harm_text([run_trial_with_two_readings(row)])
 
-    assert percent_harmed == dict(zip(table.columns, table.rows[row], strict=True))["two readings"]
+    assert percent_harmed == percent_on_page

@@ -22,7 +22,7 @@ from mcp_asdf_tools.tables.thresholds import (
     parse_omega,
     worst_threshold_error,
 )
-from support import ROOT, cells_of_line
+from support import ROOT, cells_of_line, section_of
 
 SHIPPED = [("0.05", 127), ("0.05", 30)]
 EDGES = [("0.9", 127), ("0.9", 2), ("0.000000001", 127), ("0.5", 3)]
@@ -169,8 +169,7 @@ def test_a_word_to_which_no_omega_is_rounded_has_no_omega(word: int) -> None:
 
 def page_rows(heading: str) -> list[dict[str, str]]:
     """Return the rows of the first table below a heading of the page, each as cells by column."""
-    page = (ROOT / "docs/internals/t_tables.md").read_text(encoding="utf-8")
-    _, _, section = page.partition(f"## {heading}\n")
+    section = section_of(ROOT / "docs/internals/t_tables.md", heading)
     first_table = re.search(r"(?:^\|.*\n)+", section, re.MULTILINE)
     assert first_table is not None
     titles, _ruler, *rows = [cells_of_line(line) for line in first_table[0].splitlines()]
