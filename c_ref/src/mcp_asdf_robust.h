@@ -410,7 +410,8 @@ static bool is_supported(const mcp_asdf_t *robot, const uint16_t *estimates, uin
 /* Run the robust filter at the end of a round, for t > 0: the batch of observations ends, and the initial
  * b_hat is tested, which is counted. The test compares the robot's share of black observations with the
  * centre of the kept estimates. That is their median, moved by three Huber steps towards a mean in which no
- * estimate counts by more than a limited distance. Returns b_hat after that as Q32, or 0 if it stays as it is:
+ * estimate counts by more than a limited distance. Returns b_hat after that as Q32, or 0 if it stays as it
+ * is:
  *
  *   - with fewer than five estimates it stays, and there is no test;
  *   - if robust_test_rejects() the initial b_hat, and the robot is not supported by others (is_supported()),

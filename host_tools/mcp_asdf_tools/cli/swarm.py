@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mcp_asdf_tools.bus.interfaces import BusChoice
+    from mcp_asdf_tools.bus.slcan_server import SlcanServer
     from mcp_asdf_tools.recording.recording import LogOutputs, NoRecording, Recording
     from mcp_asdf_tools.robots.processes import NodeProcesses
     from mcp_asdf_tools.swarm.carrier import Wiring
@@ -485,9 +486,17 @@ def _serve_slcan(plan: _RunPlan, stack: ExitStack) -> int | None:
     from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
 
     server = stack.enter_context(SlcanServer(plan.bus_choice.open(), plan.args.slcan))
+    stack.callback(_warn_of_dropped_frames, server)
     # On standard error: with port 0 the user needs the number, and standard output may be JSON.
     print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}", file=sys.stderr, flush=True)
     return server.port
+
+
+def _warn_of_dropped_frames(server: SlcanServer) -> None:
+    """Print how many frames of the bus a program at the slcan adapter has missed, if any."""
+    if server.dropped > 0:
+        reason = "a program at the slcan adapter read too slowly"
+        warn("swarm", f"{reason}: {server.dropped} frames did not reach it")
 
 
 # --- The summary -----------------------------------------------------------------------------------------

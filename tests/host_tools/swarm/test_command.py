@@ -18,6 +18,8 @@ from can.interfaces import virtual
 from rich.console import Console
 
 from host_tools.swarm.swarms import identifiers_and_data, run_and_record, small_swarm
+from mcp_asdf_tools.bus import slcan_server
+from mcp_asdf_tools.bus.slcan_server import SlcanServer
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.swarm import carrier
@@ -223,6 +225,21 @@ def test_swarm_has_an_option_for_every_parameter(capsys: Capture) -> None:
     listed_options = re.findall(r"^  (--[a-z-]+)", capsys.readouterr().out, re.MULTILINE)
     for name in parameters_of(SwarmSettings):
         assert "--" + name.replace("_", "-") in listed_options
+
+
+def test_a_swarm_warns_of_the_frames_that_a_slow_program_at_the_slcan_adapter_has_missed(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The adapter of this run says that it has dropped three frames."""
+
+    class ServerOfSlowProgram(SlcanServer):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            self.dropped = 3
+
+    monkeypatch.setattr(slcan_server, "SlcanServer", ServerOfSlowProgram)
+    assert run_swarm_command("--slcan", "0") == 0
+    assert "slcan adapter read too slowly: 3 frames did not reach it" in capsys.readouterr().err
 
 
 def test_the_address_of_the_slcan_adapter_is_printed_as_an_error_output_not_in_the_json(
