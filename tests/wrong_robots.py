@@ -403,6 +403,7 @@ ROBUST_FAULTS_BY_PHASE: dict[str, tuple[str, ...]] = {
         "robust test: no spread",
         "robust test: variance of the count alone",
         "robust test: tests the present b_hat",
+        "precision: n/t of 23 bits",
         "precision: p of 23 bits",
         "robust test: sigmas",
         "robust test: sigmas of the centre",
@@ -423,13 +424,10 @@ ROBUST_FAULTS_BY_PHASE: dict[str, tuple[str, ...]] = {
         "robust: eq. 8 from its own estimate",
         "robust: eq. 8 from the centre of the votes",
     ),
-    "estimates of 1/2": ("vote: smallest spread",),
     "no confidence of its own": ("vote: own estimate without confidence",),
-    "test of a wide spread": (
-        "dispersion: outlier",
-        "precision: n/t of 23 bits",
-    ),
+    "test of a wide spread": ("dispersion: outlier",),
     "supporters": (
+        "vote: smallest spread",
         "supporters: none",
         "supporters: half",
         "supporters: two fifths",
@@ -612,7 +610,7 @@ WRONG: dict[str, Wrong] = {
         for fault in faults
     },
     "keeps later estimates of a sender in a round": with_robust_firmware(
-        "same sender",
+        "its own id",
         "            { => keep_estimate(s.robust, s.estimates, sender, x_hat); }return Status.REPEATED",
     ),
     "x is 1/2 before the first vote": with_robust_firmware("alone", "estimate({self.s.x_hat => HALF}, self"),
@@ -626,7 +624,7 @@ WRONG: dict[str, Wrong] = {
         FAULTS["table: largest spread"],
         config=ROBUST_FILTER | {"b_hat": B_HAT},
     ),
-    "robust test in float32": with_robust_test_in_float32("test of a wide spread"),
+    "robust test in float32": with_robust_test_in_float32("threshold of few estimates"),
     "variance of the prediction alone": with_robust_firmware(
         "threshold of few estimates", "variance = max({variance_of_observation(share) => 0},"
     ),

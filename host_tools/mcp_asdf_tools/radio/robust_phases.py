@@ -58,7 +58,7 @@ _MAX_INFORMATION_FOR_LARGEST_SPREAD = 0.4
 """|2 b_hat - 1| of the initial b_hat up to which observations can be so far from estimates of 0 and 3/4 that
 a test rejects."""
 
-_MAX_DRAWS_BY_WIDTH = {NARROW_WIDTH: 20, WIDE_WIDTH: 200}
+_MAX_DRAWS_BY_WIDTH = {NARROW_WIDTH: 20, WIDE_WIDTH: 400}
 """Number of draws of estimates at a test's threshold, of which one is chosen.
 
 Close to their middle, all estimates have the same spread, so that further draws come no nearer to it."""
