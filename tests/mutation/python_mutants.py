@@ -148,16 +148,21 @@ def _mistakes_in_statement(statement: ast.stmt) -> Iterator[Mistake]:
             if ast.unparse(statement.test) != str(value):
                 yield _set(statement, "test", ast.Constant(value))
     for node in _expressions_in(statement):
-        if isinstance(node, ast.Compare):
-            yield from _mistakes_in_comparison(node)
-        elif isinstance(node, ast.Constant):
-            yield from _mistakes_in_constant(node)
-        elif isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign) and type(node.op) in REPLACED_OPERATORS:
-            yield _set(node, "op", REPLACED_OPERATORS[type(node.op)]())
-        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub | ast.Invert):
-            yield _set(node, "op", ast.UAdd())
-        elif isinstance(node, ast.Name) and node.id in REPLACED_FUNCTIONS:
-            yield _set(node, "id", REPLACED_FUNCTIONS[node.id])
+        yield from _mistakes_in_node(node)
+
+
+def _mistakes_in_node(node: ast.AST) -> Iterator[Mistake]:
+    """Yield the mistakes in a node of a statement, without those in the nodes below it."""
+    if isinstance(node, ast.Compare):
+        yield from _mistakes_in_comparison(node)
+    elif isinstance(node, ast.Constant):
+        yield from _mistakes_in_constant(node)
+    elif isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign) and type(node.op) in REPLACED_OPERATORS:
+        yield _set(node, "op", REPLACED_OPERATORS[type(node.op)]())
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub | ast.Invert):
+        yield _set(node, "op", ast.UAdd())
+    elif isinstance(node, ast.Name) and node.id in REPLACED_FUNCTIONS:
+        yield _set(node, "id", REPLACED_FUNCTIONS[node.id])
 
 
 def _mistakes_in_comparison(comparison: ast.Compare) -> Iterator[Mistake]:
