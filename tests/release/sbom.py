@@ -27,23 +27,28 @@ OF_THE_INSTALLER = {"INSTALLER", "REQUESTED", "RECORD", "direct_url.json", "uv_c
 
 def dependencies() -> dict[str, set[str]]:
     """Return what each package needs, by name: the project with its extras, and all that it leads to."""
-    needs_by_package = dict[str, set[str]]()
-    waiting = [(NAME, frozenset(metadata.metadata(NAME).get_all("Provides-Extra") or ()))]
+    names_by_package = dict[str, set[str]]()
+    waiting = {(NAME, frozenset(metadata.metadata(NAME).get_all("Provides-Extra") or ()))}
     known = set(waiting)
     while waiting:
         package, extras = waiting.pop()
-        needs = needs_by_package.setdefault(package, set())
-        for text in metadata.requires(package) or ():
-            requirement = Requirement(text)
-            marker = requirement.marker
-            if marker is None or any(marker.evaluate({"extra": extra}) for extra in {"", *extras}):
-                needed = str(canonicalize_name(requirement.name))
-                needs.add(needed)
-                needed_with_extras = (needed, frozenset(requirement.extras))
-                if needed_with_extras not in known:
-                    known.add(needed_with_extras)
-                    waiting.append(needed_with_extras)
-    return {package: needs - {NAME} for package, needs in needs_by_package.items()}
+        needs = needs_of(package, extras)
+        names = names_by_package.setdefault(package, set())
+        names |= {name for name, _extras in needs}
+        waiting |= needs - known
+        known |= needs
+    return {package: names - {NAME} for package, names in names_by_package.items()}
+
+
+def needs_of(package: str, extras: frozenset[str]) -> set[tuple[str, frozenset[str]]]:
+    """Return the packages that one needs with these extras, each with the extras of it that are needed."""
+    needs = set()
+    for text in metadata.requires(package) or ():
+        requirement = Requirement(text)
+        marker = requirement.marker
+        if marker is None or any(marker.evaluate({"extra": extra}) for extra in {"", *extras}):
+            needs.add((str(canonicalize_name(requirement.name)), frozenset(requirement.extras)))
+    return needs
 
 
 def component(name: str, version: str, kind: str = "pypi", **more: Any) -> dict[str, Any]:
