@@ -106,6 +106,11 @@ def rewrite_results(example: Path, filter_names: Sequence[str]) -> None:
             values = run_argos(example, filter_name, seed)
             texts = {name: f"{value:.{DECIMALS}f}" for name, value in values.items()}
             rows.append({"filter": filter_name, "seed": str(seed), **texts})
+    write_results(rows)
+
+
+def write_results(rows: list[dict[str, str]]) -> None:
+    """Write the rows of the results, in the order of FILTERS."""
     with RESULTS.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, ["filter", "seed", *QUANTITIES], lineterminator="\n")
         writer.writeheader()

@@ -78,8 +78,8 @@ def rates_of(
     return best
 
 
-def main() -> None:
-    """Measure and print."""
+def rates_by_world() -> dict[str, dict[str, float]]:
+    """Measure the rates of each program in five worlds, by the world's name and the program's."""
     simulator = float(json.loads(MOTION.read_text("utf-8"))["robot_ticks_per_second"])
     with tempfile.TemporaryDirectory() as folder:
         full = {PLAIN: plain(folder, "full", 96, SCALAR)}
@@ -89,19 +89,28 @@ def main() -> None:
             PLAIN_IN_VECTORS: plain(folder, "moving", 8, VECTORS),
         }
         robust, robust_moving = (replace(each, filter="robust") for each in (FULL, MOVING))
-        found = {
+        return {
             "fully connected": rates_of(FULL, 16, 96, full),
             "moving": rates_of(MOVING, 4, 8, moving),
             "fully connected, robust": rates_of(robust, 4, 32, full),
             "fully connected, robust, N = 20": rates_of(replace(robust, robots=20), 2, 16, {}),
             "moving, robust": rates_of(robust_moving, 4, 8, moving),
         }
-    for world, rates in found.items():
-        yardsticks = [name for name in (PYTHON, PLAIN) if name in rates]
-        print(f"{world:32}{'robot-steps/s':>14}" + "".join(f"{f'x {name}':>20}" for name in yardsticks))
-        for name, value in rates.items():
-            ratios = "".join(f"{value / rates[yardstick]:20.3g}" for yardstick in yardsticks)
-            print(f"{name:32}{value:14.3g}{ratios}")
+
+
+def print_rates(world: str, rates: dict[str, float]) -> None:
+    """Print a row for each program, with its rate as a multiple of those that others are compared with."""
+    yardsticks = [name for name in (PYTHON, PLAIN) if name in rates]
+    print(f"{world:32}{'robot-steps/s':>14}" + "".join(f"{f'x {name}':>20}" for name in yardsticks))
+    for name, value in rates.items():
+        ratios = "".join(f"{value / rates[yardstick]:20.3g}" for yardstick in yardsticks)
+        print(f"{name:32}{value:14.3g}{ratios}")
+
+
+def main() -> None:
+    """Measure and print."""
+    for world, rates in rates_by_world().items():
+        print_rates(world, rates)
 
 
 if __name__ == "__main__":

@@ -131,6 +131,11 @@ class Paths:
     # --- Stack ---
 
     def _deepest(self, start: int, callers: tuple[int, ...]) -> int:
+        """Return the most bytes of stack that the function at this instruction needs, with those it calls.
+
+        ``callers`` are the first instructions of the functions that have called it. Raises ValueError if it
+        is one of them.
+        """
         name = self._lines[start].function
         if start in callers:
             raise ValueError(f"{name} calls itself")
