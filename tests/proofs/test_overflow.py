@@ -59,16 +59,20 @@ def test_a_probability_of_black_is_above_0_and_below_1() -> None:
 def test_the_products_of_the_robust_test_fit_in_their_words() -> None:
     """The test is t * ((n / t - p)^2 - 12 (g * spread)^2) > 12 * dispersion * variance, with g = |2 b - 1|.
 
-    Each product is largest where its factors are. Shares have the unit 2^-32, and squares of them 2^-64. The
-    left side is formed in units of 2^-32, of t and the upper and the lower word of the bracket.
+    Each product is largest where its factors are.
     """
+    # 12 (g * spread)^2, in units of 2^-64: g and the spread have the unit 2^-32.
     g_max = WORD - 1
-    g_spread = g_max * (SPREAD_OF_SLOTS_MAX << 8) // WORD  # shifted to the unit 2^-32
-    assert g_spread < 2**30
-    assert REJECTED_SIGMAS_SQUARED * g_spread**2 < 2**64
+    spread_max = SPREAD_OF_SLOTS_MAX << 8  # from the unit 2^-24
+    g_spread_max = g_max * spread_max // WORD
+    assert g_spread_max < 2**30
+    assert REJECTED_SIGMAS_SQUARED * g_spread_max**2 < 2**64
+
+    # The left side, in units of 2^-32: t times the bracket, which is at most a square below 1.
     bracket_max = 2**64 - 1
     assert T_MAX * bracket_max // WORD < 2**64
 
+    # The right side. The variance of one observation is largest for a probability of 1/2.
     half = WORD // 2
     assert half * (WORD - half) // WORD == VARIANCE_MAX
     assert REJECTED_SIGMAS_SQUARED * DISPERSION_MAX < WORD

@@ -377,20 +377,31 @@ def test_an_interface_that_python_can_does_not_have_is_refused_with_those_that_i
 def test_a_bus_is_chosen_by_options_before_rc_before_variables_before_files(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Each source decides only on settings that no earlier source states. Here each decides on one setting.
-
-    The hop limit is a default of ours.
-    """
+    """A setting of a source counts if no earlier source has it. Here each source decides on one setting."""
     monkeypatch.setenv("HOME", str(tmp_path))
-    (tmp_path / ".canrc").write_text(
-        "[default]\ninterface=of_file\nchannel=of_file\nbitrate=of_file\nport=of_file\n"
-    )
+    lines_of_file = ["[default]", "interface=of_file", "channel=of_file", "bitrate=of_file", "port=of_file"]
+    (tmp_path / ".canrc").write_text("\n".join(lines_of_file))
     monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
-    monkeypatch.setattr(can, "rc", {"bustype": "of_rc", "channel": "of_rc", "bitrate": "of_rc"})
+    monkeypatch.setattr(can, "rc", {"channel": "of_rc", "bitrate": "of_rc"})
 
     bus = bus_from_options("-c", "of_option")
+
+    assert bus.settings["channel"] == "of_option"
+    assert bus.settings["bitrate"] == "of_rc"
     assert bus.interface == "udp_multicast"  # of the variable
-    assert bus.settings == {"channel": "of_option", "bitrate": "of_rc", "port": "of_file", "hop_limit": 0}
+    assert bus.settings["port"] == "of_file"
+
+
+def test_an_interface_may_have_the_name_bustype_in_files_and_another_source_still_decides(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Old files of python-can call it so."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("CAN_INTERFACE", raising=False)
+    (tmp_path / ".canrc").write_text("[default]\nbustype=udp_multicast\nchannel=of_file")
+
+    assert bus_from_options().interface == "udp_multicast"
+    assert bus_from_options("-i", "virtual").interface == "virtual"
 
 
 def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(

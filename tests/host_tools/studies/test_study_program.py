@@ -152,13 +152,15 @@ def test_the_quick_form_of_a_study_has_two_trials_of_at_most_4000_steps(
 def test_the_results_of_a_swarm_with_liars_have_the_estimates_of_the_honest_robots_alone(
     tmp_path: Path,
 ) -> None:
-    """The last five of 20 robots lie. Estimates are recorded at steps 0, 50 and 100."""
-    [experiment] = grid(robots=20, flawed=0, firmware=peers.five_liars, steps=100, trials=1)
+    """Five of 20 robots lie. Of one trial, estimates are recorded at steps 0, 50 and 100."""
+    swarm_with_liars = Experiment(robots=20, flawed=0, firmware=peers.five_liars, steps=100, trials=1)
     arguments = argparse.Namespace(folder=tmp_path, workers=1, quick=False)
 
-    [trials] = study_program.run_rows("a", {"row": [experiment]}, arguments, record=50)["row"]
+    rows = study_program.run_rows("study", {"liars": [swarm_with_liars]}, arguments, record=50)
 
-    assert trials.records["x"].shape == (1, 3, 15)  # trials, steps and robots
+    [trials] = rows["liars"]
+    trial_count, sample_count, robot_count = trials.records["x"].shape
+    assert (trial_count, sample_count, robot_count) == (1, 3, 15)
 
 
 STUDIES = {
