@@ -153,7 +153,7 @@ def test_the_results_of_a_swarm_with_liars_have_the_estimates_of_the_honest_robo
     tmp_path: Path,
 ) -> None:
     """Five of 20 robots lie. Of one trial, estimates are recorded at steps 0, 50 and 100."""
-    swarm_with_liars = Experiment(robots=20, flawed=0, firmware=peers.five_liars, steps=100, trials=1)
+    [swarm_with_liars] = grid(robots=20, flawed=0, firmware=peers.five_liars, steps=100, trials=1)
     arguments = argparse.Namespace(folder=tmp_path, workers=1, quick=False)
 
     rows = study_program.run_rows("study", {"liars": [swarm_with_liars]}, arguments, record=50)
