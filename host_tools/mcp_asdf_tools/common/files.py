@@ -60,7 +60,9 @@ def read_text(path: Path | str) -> str:
     except OSError as error:
         raise UsageError(f"cannot read {name}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"cannot read {name}: it is no text in UTF-8 (byte {error.start})") from error
+        raise UsageError(
+            f"cannot read {name}: it is no text in UTF-8 (byte {error.start}); save it as UTF-8"
+        ) from error
     except ValueError as error:  # from either read: the text has more than LONGEST_TEXT bytes
         raise UsageError(f"cannot read {name}: {error}; give a shorter one") from error
 

@@ -139,9 +139,8 @@ def _run_with_records(experiment: Experiment, trial: int) -> Trials:
     """
     if experiment.robots * experiment.steps > _MAX_TRIAL_ROBOT_STEPS:
         raise UsageError(
-            f"a trial of {experiment.robots} robots and {experiment.steps} steps is too long to be run "
-            f"again, which view has to do; take one of at most {_MAX_TRIAL_ROBOT_STEPS // experiment.robots} "
-            "steps"
+            f"a trial of {experiment.robots} robots and {experiment.steps} steps is too long to be run for "
+            f"a view; take one of at most {_MAX_TRIAL_ROBOT_STEPS // experiment.robots} steps"
         )
     spacing = steps_between_states(experiment.steps, experiment.robots)
     return run_trials(experiment, first=trial, trials=1, sampling_interval=spacing)

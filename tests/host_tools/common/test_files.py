@@ -59,7 +59,9 @@ def test_a_text_may_have_a_byte_order_mark(encoding: str, tmp_path: Path) -> Non
 def test_a_file_that_is_no_text_is_refused_with_the_place(tmp_path: Path) -> None:
     """The byte 0xff, which no text in UTF-8 has, stands behind three letters: it is byte 3, from 0 on."""
     (tmp_path / "file").write_bytes(b"abc\xff")
-    with pytest.raises(UsageError, match=r"cannot read .*file: it is no text in UTF-8 \(byte 3\)"):
+    with pytest.raises(
+        UsageError, match=r"cannot read .*file: it is no text in UTF-8 \(byte 3\); save it as UTF-8"
+    ):
         read_text(tmp_path / "file")
 
 

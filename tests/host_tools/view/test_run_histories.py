@@ -439,7 +439,7 @@ def test_a_trial_of_a_billion_steps_is_not_simulated_again_to_be_shown() -> None
     trials = run_experiment(robots=2, steps=10, filter="none")
     experiment_of_a_billion_steps = replace(trials.experiment, steps=10**9)
     long_trials = replace(trials, experiment=experiment_of_a_billion_steps)
-    with pytest.raises(UsageError, match=r"too long to be run again, .* at most 100000000 steps"):
+    with pytest.raises(UsageError, match=r"too long to be run for a view; .* at most 100000000 steps"):
         recompute_trial_history(long_trials, trial=0)
 
 
