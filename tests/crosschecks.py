@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import cast
@@ -17,6 +18,7 @@ import mcp_asdf.mirror
 import mcp_asdf.robust_filter
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Status
+from mcp_asdf_tools.crosscheck.audit import Audit
 from mcp_asdf_tools.crosscheck.compare import (
     Failure,
     Firmware,
@@ -24,8 +26,8 @@ from mcp_asdf_tools.crosscheck.compare import (
     compare_firmwares,
     run_crosscheck,
 )
-from mcp_asdf_tools.crosscheck.oracle import Audit
-from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, Scenario, Setup, parse_scenario
+from mcp_asdf_tools.crosscheck.oracle import check_call
+from mcp_asdf_tools.crosscheck.scenario import CallRecord, Scenario
 
 SOURCES = {
     module.__name__: Path(cast(str, module.__file__)).read_text(encoding="utf-8")
@@ -44,7 +46,7 @@ CALLS = 40_000
 
 def compare_with_oracle(scenario: Scenario, first: Firmware, second: Firmware) -> Failure | None:
     """Compare two firmwares in a scenario, and the first with exact arithmetic; return what is wrong."""
-    return compare_firmwares(scenario, first, second, Audit().check_call)
+    return compare_firmwares(scenario, first, second, partial(check_call, audit=Audit()))
 
 
 def find_failure(first: Firmware, second: Firmware, max_calls: int = CALLS) -> Failure | None:
@@ -52,38 +54,30 @@ def find_failure(first: Firmware, second: Firmware, max_calls: int = CALLS) -> F
 
     The first firmware is also compared with exact arithmetic. Return None if ``max_calls`` calls agree.
     """
-    audit = Audit()
 
     def check_scenario(scenario: Scenario) -> Failure | None:
-        return compare_firmwares(scenario, first, second, audit.check_call)
+        return compare_with_oracle(scenario, first, second)
 
     return run_crosscheck(check_scenario, SEED, max_calls, lambda calls_made: None).failure
 
 
-@dataclass
-class CheckedCall:
-    """A call of a scenario, with what was observed before and after it."""
-
-    setup: Setup
-    call: Call
-    before: CallResult
-    after: CallResult
-
-
-def check_calls(text: str, audit: Audit) -> Iterator[CheckedCall]:
-    """Make the calls of a scenario and yield them. Fails if ``audit`` finds a call wrong."""
-    scenario = parse_scenario(text)
+def check_calls(scenario: Scenario, audit: Audit) -> Iterator[CallRecord]:
+    """Make the calls of a scenario on a mirror, and yield them. Fails if exact arithmetic finds one wrong."""
     robot = RobotUnderTest(MirrorRobot, scenario.setup)
     for call in scenario.calls:
-        before = robot.last_result
-        after = robot.apply(call)
-        assert audit.check_call(scenario.setup, call, before, after) == []
-        yield CheckedCall(scenario.setup, call, before, after)
+        record = CallRecord(scenario.setup, call, before=robot.last_result, after=robot.apply(call))
+        assert check_call(record, audit) == []
+        yield record
 
 
-def with_value(result: CallResult, name: str, value: int) -> CallResult:
-    """Return the result with another value of a field of the state."""
-    return replace(result, state=result.state | {name: value})
+def with_value_after(record: CallRecord, name: str, value: int) -> CallRecord:
+    """Return the record of a call after which a field of the state has another value."""
+    return replace(record, after=replace(record.after, state=record.new_state | {name: value}))
+
+
+def with_outcome(record: CallRecord, outcome: str) -> CallRecord:
+    """Return the record of a call with another outcome."""
+    return replace(record, after=replace(record.after, outcome=outcome))
 
 
 FAULTS = {

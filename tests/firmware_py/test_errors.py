@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -16,7 +17,6 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, TableError, checksum
-from mcp_asdf_tools.crosscheck.scenario import Call, edit_image
 from robots import (
     ALPHA_MAX,
     ALPHA_ONE,
@@ -446,7 +446,8 @@ def images_with_one_changed_word(image: bytes) -> Iterator[bytes]:
         ends_of_ranges = (0, 1, 2**12, 2**18, 2**23, 2**28, 2**30, 2**31, 2**32)
         for value in (*ends_of_ranges, word, word ^ 1 << 16, word ^ 1 << 24):
             for changed_word in (value - 1, value, value + 1):
-                yield edit_image(image, Call("restore", (index, changed_word % 2**32)))
+                changed_words = [*words[:index], changed_word % 2**32, *words[index + 1 :]]
+                yield struct.pack(f"<{len(words) + 1}I", *changed_words, checksum(changed_words))
 
 
 # design: R30

@@ -8,7 +8,8 @@ Scenarios are the cross-check's random ones, which are heavy with edges; the dig
 
 A file is little-endian: the word MAGIC, how many scenarios follow (2 bytes), and these. A scenario is its
 digest (4), filter, kind of table and id (1 each), filter_period, memory and b_hat (4 each), calls, and a 0. A
-call is a code and its numbers; ``restore`` has the number of its pairs, each an index (1) and a word (4).
+call is a code and its numbers; ``restore`` has how many numbers it replaces (1), and of each where it stands
+in the image (1), its size (1) and its bytes.
 
 A digest covers the status of the making, of every call, and of the end (twice the messages accepted, and 1 if
 the invariants hold). After each of these but ``receive`` it covers x, x_bar, the saved image and what b_hat
@@ -25,6 +26,7 @@ from pathlib import Path
 from mcp_asdf.image_format import unpack_image
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, FirmwareError, Status
+from mcp_asdf_tools.crosscheck.image_numbers import places_of_numbers
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
 from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import (
@@ -82,7 +84,7 @@ class Player:
         for call in scenario.calls:
             assert self._robot is not None
             if call.name in CALLS_THAT_REPLACE_ROBOT:
-                status = self._restore(config, edit_image(self._robot.save(), call))
+                status = self._restore(config, edit_image(self._robot.save(), call, config.filter))
             else:
                 status = make_call(self._robot, call)
             self._record(status, with_state=call.name != "receive")
@@ -139,8 +141,7 @@ def played(name: str) -> list[tuple[Scenario, bytes]]:
 
 def _size_of(scenario: Scenario) -> int:
     """Return the bytes of a scenario in a file: its head, its calls and a 0."""
-    bytes_of_calls = sum(len(_encode_call(call)) for call in scenario.calls)
-    return _SCENARIO.size + bytes_of_calls + 1
+    return _SCENARIO.size + len(_encode_calls(scenario)) + 1
 
 
 def _playable(scenario: Scenario) -> Scenario:
@@ -160,14 +161,27 @@ def _encode(scenario: Scenario) -> bytes:
     numbers = (setup.robot_id, setup.filter_period, setup.memory, setup.b_hat)
     digest = Player(scenario).digest
     head = _SCENARIO.pack(digest, setup.filter, TABLES.index(setup.table), *numbers)
-    return head + b"".join(map(_encode_call, scenario.calls)) + b"\0"
+    return head + _encode_calls(scenario) + b"\0"
 
 
-def _encode_call(call: Call) -> bytes:
-    code = bytes([_CODES.index(call.name)])
-    if call.name == "restore":
-        return code + bytes([len(call.pairs)]) + b"".join(struct.pack("<BI", *pair) for pair in call.pairs)
-    return code + struct.pack(_LAYOUTS[call.name], *call.numbers)
+def _encode_calls(scenario: Scenario) -> bytes:
+    places = places_of_numbers(scenario.setup.filter)
+    encoded_calls = b""
+    for call in scenario.calls:
+        encoded_calls += bytes([_CODES.index(call.name)])
+        if call.name == "restore":
+            encoded_calls += bytes([len(call.new_numbers)])
+            for name, value in call.new_numbers:
+                encoded_calls += _encode_new_number(places[name], value)
+        else:
+            encoded_calls += struct.pack(_LAYOUTS[call.name], *call.numbers)
+    return encoded_calls
+
+
+def _encode_new_number(place: slice, value: int) -> bytes:
+    """Return where a number stands in an image, its size, and its bytes."""
+    size: int = place.stop - place.start
+    return bytes([place.start, size]) + value.to_bytes(size, "little")
 
 
 def content_made_anew(name: str) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from mcp_asdf.robot import Status
@@ -12,8 +13,9 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED
 
 if TYPE_CHECKING:
+    from mcp_asdf_tools.crosscheck.audit import Audit
     from mcp_asdf_tools.crosscheck.compare import CheckScenario, Failure, Firmware
-    from mcp_asdf_tools.crosscheck.oracle import Audit
+    from mcp_asdf_tools.crosscheck.report import CrosscheckReport
     from mcp_asdf_tools.crosscheck.scenario import Scenario
 
 EPILOG = """\
@@ -84,12 +86,13 @@ def _make_scenario_check(audit: Audit) -> CheckScenario:
     collected in ``audit``.
     """
     from mcp_asdf_tools.crosscheck.compare import compare_firmwares
+    from mcp_asdf_tools.crosscheck.oracle import check_call
 
     native, mirror = _load_comparable("native"), _load_comparable("mirror")
 
     def check_scenario(scenario: Scenario) -> Failure | None:
         """Run a scenario through both, and return the first failure; None if there is none."""
-        return compare_firmwares(scenario, native, mirror, audit.check_call)
+        return compare_firmwares(scenario, native, mirror, partial(check_call, audit=audit))
 
     return check_scenario
 
@@ -100,36 +103,34 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
     They agree, too, if both refuse the settings of the scenario's robot. Returns exit code 0 if they agree,
     and 1 if they differ.
     """
+    from mcp_asdf_tools.crosscheck.audit import Audit
     from mcp_asdf_tools.crosscheck.compare import RobotUnderTest
-    from mcp_asdf_tools.crosscheck.oracle import Audit
 
     check_scenario = _make_scenario_check(Audit())
     failure = check_scenario(scenario)
     # Both may refuse the settings of the robot: then they agree, and make no call.
     native_robot = RobotUnderTest(_load_comparable("native"), scenario.setup)
     status = native_robot.last_result.outcome  # the outcome of making it
-    is_robot_valid = status == Status.OK.name
     if as_json:
-        print(json_report(_replay_report(scenario, failure, status, is_robot_valid)))
+        print(json_report(_replay_report(scenario, failure, status)))
     elif failure is not None:
         print(failure)
-    elif is_robot_valid:
+    elif status == Status.OK.name:
         print(f"native and mirror agree in every bit over {len(scenario.calls)} calls")
     else:
         print(f"native and mirror both refuse to make this robot ({status}); no call was made")
     return 0 if failure is None else 1
 
 
-def _replay_report(
-    scenario: Scenario, failure: Failure | None, status: str, is_robot_valid: bool
-) -> dict[str, Any]:
+def _replay_report(scenario: Scenario, failure: Failure | None, status: str) -> dict[str, Any]:
     """Return the outcome of one scenario as plain values; ``calls`` is the number of calls that were made.
 
-    The call that failed was the last one. No call was made if both firmwares refuse the robot.
+    The call that failed was the last one. No call was made if both firmwares refuse the robot: then
+    ``status``, the outcome of making it, is another one than OK.
     """
     if failure is not None:
         call_count = len(failure.scenario.calls)
-    elif is_robot_valid:
+    elif status == Status.OK.name:
         call_count = len(scenario.calls)
     else:
         call_count = 0
@@ -142,39 +143,46 @@ def _replay_report(
 
 
 def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
-    """Run random scenarios of ``steps`` calls, and the checks of cost and storage; print what was found.
+    """Run random scenarios of ``steps`` calls, and the checks of cost and storage; print the report.
 
-    That is a report of tables and a verdict, or JSON with --json. A failure is reported with the shortest
-    scenario that shows it. Returns exit code 1 if a check failed, and INTERRUPTED if Ctrl-C ended it before
-    that.
+    A failure is reported with the shortest scenario that shows it. Returns exit code 1 if a check failed, and
+    INTERRUPTED if Ctrl-C ended it before that.
     """
-    from rich.console import Console
-
     from mcp_asdf_tools.common.progress_bar import progress
+    from mcp_asdf_tools.crosscheck.audit import Audit
     from mcp_asdf_tools.crosscheck.compare import run_crosscheck
     from mcp_asdf_tools.crosscheck.operation_count import count_operations, measure_storage
-    from mcp_asdf_tools.crosscheck.oracle import Audit
     from mcp_asdf_tools.crosscheck.report import CrosscheckReport
 
     audit = Audit()
-    check_scenario = _make_scenario_check(audit)
     counts = count_operations()
     with progress("calls", steps, args.json) as report_progress:
-        result = run_crosscheck(check_scenario, seed, steps, report_progress)
+        result = run_crosscheck(_make_scenario_check(audit), seed, steps, report_progress)
     if result.failure is not None:
         # A short scenario is easier to understand than the random one that failed.
         result.failure = _find_shortest(result.failure)
     report = CrosscheckReport(seed, result, audit, counts, measure_storage())
-    if args.json:
-        print(json_report(report.as_dict()))
-    else:
-        Console(soft_wrap=True).print(report.tables())
-        print(report.verdict())
-        if report.is_good:  # else the verdict ends with the line that replays the failure
-            print_again(args, steps=steps, seed=seed)
+    _print_report(report, steps, args)
     if not report.is_good:
         return 1
     return INTERRUPTED if result.interrupted else 0
+
+
+def _print_report(report: CrosscheckReport, steps: int, args: argparse.Namespace) -> None:
+    """Print a report of a check of so many steps: tables and a verdict, or JSON with --json.
+
+    If all is good, the last line says how to repeat the check. Otherwise the verdict ends with the line that
+    replays the failure.
+    """
+    from rich.console import Console
+
+    if args.json:
+        print(json_report(report.as_dict()))
+        return
+    Console(soft_wrap=True).print(report.tables())
+    print(report.verdict())
+    if report.is_good:
+        print_again(args, steps=steps, seed=report.seed)
 
 
 def _find_shortest(failure: Failure) -> Failure:
@@ -182,8 +190,8 @@ def _find_shortest(failure: Failure) -> Failure:
 
     If Ctrl-C ends the search, return the failure as it is, and say so on standard error.
     """
+    from mcp_asdf_tools.crosscheck.audit import Audit
     from mcp_asdf_tools.crosscheck.compare import shrink
-    from mcp_asdf_tools.crosscheck.oracle import Audit
 
     try:
         # With an audit of its own, as the calls of this search do not count as checked.

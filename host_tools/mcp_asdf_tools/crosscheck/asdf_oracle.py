@@ -6,41 +6,27 @@ The social values, the test and b_hat are computed anew from the sums of the rou
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 from mcp_asdf.fixed_point import HALF, ONE
 from mcp_asdf.robot import Filter
 from mcp_asdf.table import FRACTION_BITS
-from mcp_asdf_tools.crosscheck.checks import (
-    alpha_units,
-    check_exact,
-    check_whether_updated,
-    ends_round,
-    had_to_run_filter,
-)
-from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, Setup, State
-
-if TYPE_CHECKING:
-    from mcp_asdf_tools.crosscheck.oracle import Audit
+from mcp_asdf_tools.crosscheck.audit import Audit
+from mcp_asdf_tools.crosscheck.checks import alpha_units, check_exact, check_whether_updated
+from mcp_asdf_tools.crosscheck.scenario import CallRecord, State
 
 
-def check_asdf_call(
-    audit: Audit, setup: Setup, call: Call, before: CallResult, after: CallResult
-) -> list[str]:
+def check_asdf_call(record: CallRecord, audit: Audit) -> list[str]:
     """Check x_bar and x after a call, and b_hat after the end of a round. Return a line for each problem.
 
     A test that the filter had to make is counted in ``audit``, which also collects the error of b_hat.
     """
-    problems = _check_means(after.state)
-    if ends_round(call, after):
-        is_updated = after.outcome == "UPDATED"
-        problems += _check_filter(audit, setup, before.state, after.state, is_updated)
+    problems = _check_means(record.new_state)
+    if record.is_end_of_round:
+        problems += _check_filter(record, audit)
     return problems
 
 
-def _check_filter(
-    audit: Audit, setup: Setup, old_state: State, new_state: State, is_updated: bool
-) -> list[str]:
+def _check_filter(record: CallRecord, audit: Audit) -> list[str]:
     """Return a line for each problem of the filter at the end of a round.
 
     b_hat must have been re-estimated, to the right value (eq. 8), if the adaptive filter's test (eq. 12)
@@ -48,35 +34,39 @@ def _check_filter(
     where the round has no message, or where it has a single one and the filter is adaptive. Each test is
     counted in ``audit.tests``, and the error of a re-estimated b_hat is added to ``audit.errors``.
     """
-    message_count = old_state["open_count"]
-    is_adaptive = setup.filter == Filter.ADAPTIVE
-    has_run = setup.filter != Filter.OFF and had_to_run_filter(old_state, new_state)
+    filter_number = record.setup.filter
+    if filter_number == Filter.OFF or not record.had_to_run_filter:
+        return check_whether_updated(record.is_updated, expected=False)
+    message_count = record.old_state["open_count"]
     # The adaptive filter's test needs a variance, and so two messages.
-    messages_needed = 2 if is_adaptive else 1
-    if not has_run or message_count < messages_needed:
-        return check_whether_updated(is_updated, expected=False)
-    if is_adaptive:
+    messages_needed = 2 if filter_number == Filter.ADAPTIVE else 1
+    if message_count < messages_needed:
+        return check_whether_updated(record.is_updated, expected=False)
+    if filter_number == Filter.ADAPTIVE:
         audit.tests += 1
-        if not _test_rejects(setup, old_state, new_state["x_hat"]):
-            return check_whether_updated(is_updated, expected=False)
+        if not _test_rejects(record):
+            return check_whether_updated(record.is_updated, expected=False)
+    new_state = record.new_state
     x_bar = Fraction(_closed_alpha_x(new_state), new_state["closed_alpha"] * ONE)
-    return audit.check_b_hat(new_state, x_bar, is_updated)
+    return audit.check_b_hat(record, x_bar)
 
 
-def _test_rejects(setup: Setup, state: State, x_hat: int) -> bool:
-    """Return whether the test (eq. 12) rejects the robot's x_hat by the messages of the open round.
+def _test_rejects(record: CallRecord) -> bool:
+    """Return whether the test (eq. 12) rejects the robot's x_hat by the messages of the round that has ended.
 
-    ``state`` is the robot's before the end of that round, and x_hat is in units of 2**-23. Equality is no
-    rejection.
+    Equality is no rejection.
     """
-    assert setup.table is not None
-    m = state["open_count"]
-    sum_x, sum_x_squared = state["open_x"], state["open_x_squared"]
+    table_choice = record.setup.table
+    assert table_choice is not None
+    # The sums of the round are still there before the call, and a ``step`` computes x_hat in the call.
+    m = record.old_state["open_count"]
+    sum_x, sum_x_squared = record.old_state["open_x"], record.old_state["open_x_squared"]
+    x_hat = record.new_state["x_hat"]  # in units of 2**-23
     # X and S are the mean and the standard deviation of the m estimates, and eq. 12 is
     #     |X - x_hat| > (t / sqrt(m) + 1) S
     # Whole numbers decide it exactly, once both sides are squared and multiplied by m**2. What then stands
     # before m (m - 1) S**2 is the table's entry, (t / sqrt(m) + 1)**2 m / (m - 1).
-    threshold = setup.table.build().entry(m)  # with FRACTION_BITS bits after the point
+    threshold = table_choice.build().entry(m)  # with FRACTION_BITS bits after the point
     squared_difference = (sum_x - m * x_hat) ** 2  # m**2 (X - x_hat)**2
     scaled_variance = m * sum_x_squared - sum_x**2  # m (m - 1) S**2
     return (squared_difference << FRACTION_BITS) > threshold * scaled_variance
@@ -106,4 +96,5 @@ def _check_means(state: State) -> list[str]:
     x = own_x_hat
     if own_alpha + beta > 0:
         x = (own_alpha * own_x_hat + alpha_x) // (own_alpha + beta)
+    # Names that end in () are results of methods, of which the state has the values, too.
     return check_exact(state, {"x()": x, "x_bar()": x_bar})

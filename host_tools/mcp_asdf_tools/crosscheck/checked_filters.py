@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Set
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.crosscheck.asdf_oracle import check_asdf_call
+from mcp_asdf_tools.crosscheck.audit import Audit
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
 from mcp_asdf_tools.crosscheck.robust_oracle import check_robust_call
 from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
-from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, Scenario, Setup
+from mcp_asdf_tools.crosscheck.scenario import CallRecord, Scenario
 from mcp_asdf_tools.crosscheck.workloads import RobustWorkload, Workload
-
-if TYPE_CHECKING:
-    from mcp_asdf_tools.crosscheck.oracle import Audit
 
 
 @dataclass(frozen=True)
@@ -35,7 +32,7 @@ class CheckedFilter:
     filters: Set[Filter]
     make_scenario: Callable[[int, int], Scenario]
     scenarios_in_turn: int
-    check_call: Callable[[Audit, Setup, Call, CallResult, CallResult], list[str]]
+    check_call: Callable[[CallRecord, Audit], list[str]]
     workload: type[Workload]
 
     def label(self, call_name: str) -> str:

@@ -1,14 +1,11 @@
-"""Checks of single values of a robot's state, and the question whether its filter had to run.
-
-Each check returns a line for every value that is wrong.
-"""
+"""Checks of single values of a robot's state; each returns a line for every value that is wrong."""
 
 from __future__ import annotations
 
 from fractions import Fraction
 
 from mcp_asdf_tools.crosscheck.bounds import Bounds
-from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, State
+from mcp_asdf_tools.crosscheck.scenario import State
 
 
 def alpha_units(word: int) -> int:
@@ -33,32 +30,6 @@ def check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
     if lower <= value <= upper:
         return []
     return [f"{name} is {float(value):.9g}, outside {float(lower):.9g} to {float(upper):.9g}"]
-
-
-def is_observation(call: Call, after: CallResult) -> bool:
-    """Return whether a call, by its name and result, has made the robot observe a tile."""
-    return call.name in ("observe", "step") and _is_accepted(after)
-
-
-def ends_round(call: Call, after: CallResult) -> bool:
-    """Return whether a call, by its name and result, has ended a round."""
-    return call.name in ("settle", "step") and _is_accepted(after)
-
-
-def _is_accepted(after: CallResult) -> bool:
-    """Return whether the firmware has accepted a call, by its result: names of refusals begin with ERR."""
-    return not after.outcome.startswith("ERR")
-
-
-def had_to_run_filter(old_state: State, new_state: State) -> bool:
-    """Return whether the end of a round, which led from one state to the other, had to run a filter.
-
-    It had to in the last round of a filter period, if the robot has observed anything. It is for the caller
-    to know whether the robot has a filter.
-    """
-    is_last_round_of_period = old_state["filter_left"] == 1
-    has_observations = new_state["t"] > 0
-    return is_last_round_of_period and has_observations
 
 
 def check_whether_updated(is_updated: bool, expected: bool | None) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -13,6 +13,7 @@ from mcp_asdf_tools.crosscheck.checked_filters import CHECKED_FILTERS, CheckedFi
 from mcp_asdf_tools.crosscheck.scenario import (
     CALLS_THAT_REPLACE_ROBOT,
     Call,
+    CallRecord,
     CallResult,
     Scenario,
     Setup,
@@ -77,7 +78,7 @@ class RobotUnderTest:
         """
         assert self._robot is not None
         if call.name in CALLS_THAT_REPLACE_ROBOT:
-            image = edit_image(self._robot.save(), call)
+            image = edit_image(self._robot.save(), call, self._config.filter)
             self._robot = self._firmware.restore(self._config, image)
             return Status.OK.name
         return make_call(self._robot, call).name
@@ -147,7 +148,7 @@ class Failure:
         return "\n".join(lines)
 
 
-CheckCall = Callable[[Setup, Call, CallResult, CallResult], list[str]]
+CheckCall = Callable[[CallRecord], list[str]]
 """Checks a call by the results before and after it, and returns a line for each problem."""
 
 CheckScenario = Callable[[Scenario], Failure | None]
@@ -165,48 +166,46 @@ def compare_firmwares(
     """
     first_robot = RobotUnderTest(first, scenario.setup)
     second_robot = RobotUnderTest(second, scenario.setup)
-    problems = list(differences(first_robot.last_result, second_robot.last_result))
+    problems = differences(first_robot.last_result, second_robot.last_result)
     if problems:
-        scenario_without_calls = scenario.replace_calls(())
-        return Failure(scenario_without_calls, tuple(problems))
+        return Failure(scenario.first_calls(0), tuple(problems))
     is_robot_refused = first_robot.last_result.state == {}
     if is_robot_refused:
         return None
     for call_count, call in enumerate(scenario.calls, start=1):
-        before = first_robot.last_result
-        after = first_robot.apply(call)
-        second_result = second_robot.apply(call)
-        problems = list(differences(after, second_result))
+        record = CallRecord(scenario.setup, call, first_robot.last_result, first_robot.apply(call))
+        problems = differences(record.after, second_robot.apply(call))
         if check_call is not None and not problems:
-            problems = check_call(scenario.setup, call, before, after)
+            problems = check_call(record)
         if problems:
-            scenario_up_to_call = scenario.replace_calls(scenario.calls[:call_count])
-            return Failure(scenario_up_to_call, tuple(problems))
+            return Failure(scenario.first_calls(call_count), tuple(problems))
     return None
 
 
-def differences(first: CallResult, second: CallResult) -> Iterator[str]:
-    """Yield a line for each difference between two results of the same call, with both values.
+def differences(first: CallResult, second: CallResult) -> list[str]:
+    """Return a line for each difference between two results of the same call, with both values.
 
     Compared are the outcomes and, where both results have them, the fields of the states and the words of the
     images. An exception that no firmware may raise gets a line even if both have raised it.
     """
+    lines = []
     if first.outcome != second.outcome:
-        yield f"status: {first.outcome}, {second.outcome}"
+        lines.append(f"status: {first.outcome}, {second.outcome}")
     elif first.outcome not in Status.__members__:
-        yield f"both: {first.outcome}"
-    if first == second:
-        return  # This is the usual case, which the loops below would only take time for.
-    if not first.state or not second.state:
-        return  # Without a robot, or after an exception, there is no state to compare.
+        lines.append(f"both: {first.outcome}")
+    # Results are usually equal, and the loops below would only take time. Without a robot, or after an
+    # exception, there is no state to compare.
+    if first == second or not first.state or not second.state:
+        return lines
     for name in first.state | second.state:
         first_value, second_value = first.state.get(name), second.state.get(name)
         if first_value != second_value:
-            yield f"{name}: {first_value}, {second_value}"
+            lines.append(f"{name}: {first_value}, {second_value}")
     word_pairs = zip(unpack_image(first.image), unpack_image(second.image), strict=True)
     for word_index, (first_word, second_word) in enumerate(word_pairs):
         if first_word != second_word:
-            yield f"save(), word {word_index}: {first_word:#010x}, {second_word:#010x}"
+            lines.append(f"save(), word {word_index}: {first_word:#010x}, {second_word:#010x}")
+    return lines
 
 
 @dataclass
@@ -239,8 +238,7 @@ def run_crosscheck(
     try:
         while result.calls < calls and result.failure is None:
             full_scenario = _generate_scenario(seed, result.scenarios)
-            remaining_calls = calls - result.calls
-            scenario = full_scenario.replace_calls(full_scenario.calls[:remaining_calls])
+            scenario = full_scenario.first_calls(calls - result.calls)
             result.failure = check_scenario(scenario)
             # The scenario of a failure ends with the call that showed it: no more calls were made.
             checked_scenario = scenario if result.failure is None else result.failure.scenario
@@ -255,27 +253,21 @@ def run_crosscheck(
 def _generate_scenario(seed: int, index: int) -> Scenario:
     """Return the scenario of a seed and an index; the filters of ``CHECKED_FILTERS`` take turns.
 
-    The scenarios of each filter are numbered by themselves: indexes 0 to 3 are the scenarios 0, 1 and 2 of
-    robots with the paper's filters, and scenario 0 of those with the robust filter.
+    Indexes 0 to 2 are of robots with the paper's filters, 3 of one with the robust filter, and so on.
     """
-    # The filter of each scenario in a round, in which every filter has its turn
     filters_of_round: list[CheckedFilter] = []
     for checked_filter in CHECKED_FILTERS:
         filters_of_round += [checked_filter] * checked_filter.scenarios_in_turn
-    round_index, index_in_round = divmod(index, len(filters_of_round))
-    checked_filter = filters_of_round[index_in_round]
-    # Scenarios of this filter before this one: in earlier rounds, and in this round
-    count_in_earlier_rounds = round_index * checked_filter.scenarios_in_turn
-    count_in_this_round = filters_of_round[:index_in_round].count(checked_filter)
-    return checked_filter.make_scenario(seed, count_in_earlier_rounds + count_in_this_round)
+    filter_in_turn = filters_of_round[index % len(filters_of_round)]
+    return filter_in_turn.make_scenario(seed, index)
 
 
 def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:
     """Return the failure of a shorter scenario, by leaving out calls without which the check still fails.
 
     ``failure`` is one that the check has found. Nothing is left to leave out of the result: without any one
-    of its calls, or any one word that a restore replaces, the check passes. For a scenario of a hundred calls
-    this takes a few hundred runs of the check.
+    of its calls, or any one number that a restore replaces, the check passes. For a scenario of a hundred
+    calls this takes a few hundred runs of the check.
     """
     block_length = len(failure.scenario.calls)
     # Long blocks of calls are left out first, since most calls are not needed. When a failing scenario needs
@@ -302,7 +294,7 @@ def _first_failure(scenarios: Iterable[Scenario], check_scenario: CheckScenario)
 def _shorter_scenarios(scenario: Scenario, block_length: int) -> Iterator[Scenario]:
     """Yield shorter versions of a scenario, each without one block of ``block_length`` calls in a row.
 
-    If ``block_length`` is 1, yield also versions in which a restore replaces one word less.
+    If ``block_length`` is 1, yield also versions in which a restore replaces one number less.
     """
     calls = scenario.calls
     for block_start in range(0, len(calls), block_length):
@@ -311,10 +303,7 @@ def _shorter_scenarios(scenario: Scenario, block_length: int) -> Iterator[Scenar
     if block_length > 1:
         return
     for call_index, call in enumerate(calls):
-        if call.name != "restore":
-            continue
-        # The numbers are pairs: the index of a word, and its new value.
-        for pair_start in range(0, len(call.numbers), 2):
-            fewer_numbers = call.numbers[:pair_start] + call.numbers[pair_start + 2 :]
-            shorter_call = Call("restore", fewer_numbers)
+        for number_index in range(len(call.new_numbers)):
+            fewer_numbers = call.new_numbers[:number_index] + call.new_numbers[number_index + 1 :]
+            shorter_call = replace(call, new_numbers=fewer_numbers)
             yield scenario.replace_calls((*calls[:call_index], shorter_call, *calls[call_index + 1 :]))

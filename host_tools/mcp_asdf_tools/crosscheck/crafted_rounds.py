@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from fractions import Fraction
-from math import isqrt
+from functools import partial
+from math import isqrt, sqrt
 from random import Random
 from typing import NamedTuple
 
@@ -157,18 +157,19 @@ def draw_alphas_of_one_scale(rng: Random, count: int, scale: tuple[int, int] | N
 
 # --- Rounds at the threshold of the test ---
 
-_ROOT_BITS = 100
-"""Fraction bits of a square root, more than any fraction with a denominator of 24 bits can be near to it."""
+_MAX_ESTIMATES_TRIED = 1000
+"""Estimates of all rounds together of which the nearest to the threshold is chosen."""
 _MANY_ESTIMATES = 100
 """Size of a round from which on its sums have more bits than a float64."""
-_MAX_DRAWS = 1500
+_MAX_DRAWS = 200
 """Pairs of rounds that are drawn to find one that serves.
 
-Of a hundred pairs with many estimates, a test in float64 decides wrongly about one or two, and of pairs with
-few estimates about none."""
-_MIN_GAP_SHARE, _MIN_GAP_SHARE_OF_MANY = 0.05, 0.8
-"""Smallest distance between two groups of x_hat, as a share of the largest possible one, and the same for
-rounds of many estimates. These are wide, so that their large sums have bits that floats lose."""
+With many estimates, a test in float64 decides wrongly about some ten of a hundred pairs, and with few
+estimates, or an x_hat of the robot next to 0 or 1, about none."""
+_MIN_DISTANCE_SHARE = 0.5
+"""Smallest distance of a round's mean from the robot's x_hat, as a share of the largest possible one.
+
+So large sums have bits that floats lose."""
 _MIN_RANGE = 1 << 13
 """Smallest distance between the smallest and the largest x_hat of a round that serves.
 
@@ -187,14 +188,12 @@ def draw_rounds_at_threshold(robot: RobotState, m: int, rng: Random) -> RoundsAt
     wrongly about one of the two. If none of many pairs is like that, the first pair is returned. The robot
     must have a table.
     """
-    has_many_estimates = m >= _MANY_ESTIMATES
-    min_gap_share = _MIN_GAP_SHARE_OF_MANY if has_many_estimates else _MIN_GAP_SHARE
     first_rounds: RoundsAtThreshold | None = None
     for _ in range(_MAX_DRAWS):
-        rounds = _draw_useful_rounds(robot, m, min_gap_share, rng)
+        rounds = _draw_useful_rounds(robot, m, rng)
         if rounds is None:
             continue
-        if not has_many_estimates or _is_float_test_wrong(robot, rounds):
+        if m < _MANY_ESTIMATES or _is_float_test_wrong(robot, rounds):
             return rounds
         if first_rounds is None:
             first_rounds = rounds
@@ -202,187 +201,122 @@ def draw_rounds_at_threshold(robot: RobotState, m: int, rng: Random) -> RoundsAt
     return first_rounds
 
 
-def _draw_useful_rounds(
-    robot: RobotState, m: int, min_gap_share: float, rng: Random
-) -> RoundsAtThreshold | None:
+def _draw_useful_rounds(robot: RobotState, m: int, rng: Random) -> RoundsAtThreshold | None:
     """Draw two rounds on both sides of the threshold of a robot's test; None if they would show too little.
 
     They must have x_hat so far apart that a threshold that is wrong by a millionth shows, and the second one,
-    which the test rejects, must change b_hat. ``min_gap_share`` is the smallest distance between its two
-    groups of x_hat, as a share of the largest possible one.
+    which the test rejects, must change b_hat.
     """
     assert robot.table is not None
-    gap_share = rng.uniform(min_gap_share, 1)
-    x_hats = draw_x_hats_at_threshold(robot.x_hat, robot.table.entry(m), m, rng, gap_share)
+    distance_share = rng.uniform(_MIN_DISTANCE_SHARE, 1)
+    x_hats = draw_x_hats_at_threshold(robot.x_hat, robot.table.entry(m), m, rng, distance_share)
     if x_hats is None:
         return None
-    inside_x_hats, outside_x_hats = x_hats
-    if max(inside_x_hats) - min(inside_x_hats) < _MIN_RANGE:
+    passed_x_hats, rejected_x_hats = x_hats
+    if max(passed_x_hats) - min(passed_x_hats) < _MIN_RANGE:
         return None
     alphas = draw_alphas_of_one_scale(rng, m)
-    inside = list(map(NeighbourEstimate, inside_x_hats, alphas))
-    outside = list(map(NeighbourEstimate, outside_x_hats, alphas))
-    if robot.update_after(outside) is Update.KEPT:
+    passed_round = list(map(NeighbourEstimate, passed_x_hats, alphas))
+    rejected_round = list(map(NeighbourEstimate, rejected_x_hats, alphas))
+    if robot.update_after(rejected_round) is Update.KEPT:
         return None  # A b_hat that is kept would not show that the test has rejected.
-    return inside, outside
-
-
-@dataclass(frozen=True)
-class _TwoGroups:
-    """A round of two groups of equal x_hat: at distance u from the robot's own x_hat, and at u + gap.
-
-    The distances are positive in the direction in which the far group lies. The test (eq. 12) rejects where
-
-        (m u + far_count gap) / gap > sqrt(k_m near_count far_count),
-
-    so that the ratio u / gap has a threshold, too.
-
-    Attributes:
-        own_x_hat: x_hat of the robot that receives the round.
-        near_count: Number of x_hat at distance u.
-        far_count: Number of x_hat at distance u + gap.
-        direction: 1 if the far group lies above the near one, and -1 if below.
-    """
-
-    own_x_hat: int
-    near_count: int
-    far_count: int
-    direction: int
-
-    def threshold_of_ratio(self, table_entry: int) -> Fraction:
-        """Return the ratio u / gap above which the test rejects; ``table_entry`` is k_m, as in a table.
-
-        The near group is at distance u from the robot's own x_hat, and the far group at u + gap. The ratio is
-        (sqrt(k_m near_count far_count) - far_count) / m, with the root rounded down to 100 bits.
-        """
-        # Entries of the table have FRACTION_BITS fraction bits, so this product has as many. A square whose
-        # root is to have _ROOT_BITS needs twice as many as the root.
-        product = table_entry * self.near_count * self.far_count
-        scaled_root = isqrt(product << (2 * _ROOT_BITS - FRACTION_BITS))
-        root = Fraction(scaled_root, 1 << _ROOT_BITS)
-        m = self.near_count + self.far_count
-        return (root - self.far_count) / m
-
-    def largest_gap(self, ratio: Fraction) -> Fraction:
-        """Return the largest gap between the groups for which all their x_hat are between 0 and 1.
-
-        ``ratio`` is that of u to the gap. The near group is at distance u from the robot's own x_hat, and the
-        far group at u + gap.
-        """
-        room_above, room_below = ONE - self.own_x_hat, self.own_x_hat
-        # Ahead is the direction in which the far group lies.
-        if self.direction > 0:
-            room_ahead, room_behind = room_above, room_below
-        else:
-            room_ahead, room_behind = room_below, room_above
-        # The far group is u + gap = (ratio + 1) gap ahead of the own x_hat.
-        gap_of_room_ahead = room_ahead / (ratio + 1)
-        if ratio >= 0:
-            return gap_of_room_ahead  # no group is behind the own x_hat
-        # The near group is -u = -ratio gap behind the own x_hat.
-        gap_of_room_behind = room_behind / -ratio
-        return min(gap_of_room_ahead, gap_of_room_behind)
-
-    def make_x_hats(self, ratio: Fraction, max_gap: int) -> list[int]:
-        """Return x_hat of both groups for a ratio of u to the gap, with the largest gap up to ``max_gap``.
-
-        The near group is at distance u from the robot's own x_hat, and the far group at u + gap.
-
-        Pairs of equal x_hat come first: the near group's pairs, then the far group's. At the end there is one
-        x_hat of each group that has an odd size.
-        """
-        # The gap is a multiple of the ratio's denominator, so that u is a whole number, too.
-        factor = max_gap // ratio.denominator
-        gap = factor * ratio.denominator
-        u = factor * ratio.numerator
-        near = self.own_x_hat + self.direction * u
-        far = near + self.direction * gap
-        near_pairs, near_singles = divmod(self.near_count, 2)
-        far_pairs, far_singles = divmod(self.far_count, 2)
-        pairs = [near, near] * near_pairs + [far, far] * far_pairs
-        return pairs + [near] * near_singles + [far] * far_singles
+    return passed_round, rejected_round
 
 
 def draw_x_hats_at_threshold(
-    own_x_hat: int, table_entry: int, m: int, rng: Random, gap_share: float
+    own_x_hat: int, table_entry: int, m: int, rng: Random, distance_share: float
 ) -> tuple[list[int], list[int]] | None:
     """Draw x_hat of two rounds of ``m`` estimates: the test (eq. 12) just rejects the second, not the first.
 
-    Each round has two groups of equal x_hat (`_TwoGroups`), whose ratio u / gap is the largest fraction below
-    its threshold in the first round, and the smallest above it in the second. Then equal x_hat are moved
-    apart in pairs, which changes the scatter of a round but not its sum, and so brings it still closer to the
-    threshold.
+    The x_hat of a round lie around their mean, in groups. The distance of the mean from the robot's own x_hat
+    decides at which scatter the test no longer rejects, and the groups are scattered by just that.
 
     Args:
         own_x_hat: x_hat of the robot that receives the rounds.
         table_entry: k_m, the test's threshold for m estimates, as its table has it.
         m: Number of estimates, from 2.
-        rng: Draws how many of them are near, and on which side of ``own_x_hat`` the far ones are.
-        gap_share: Gap between the groups, as a share of the largest for which there is room, up to 1.
+        rng: Draws on which side of ``own_x_hat`` the means are.
+        distance_share: Distance of the means from ``own_x_hat``, as a share of the largest for which there is
+            room, up to 1.
 
     Returns:
-        The two lists of x_hat; None if there is no room for groups as drawn.
+        The two lists of x_hat; None if there is no room on the side that was drawn.
     """
-    near_count = rng.randrange(1, m)
-    groups = _TwoGroups(own_x_hat, near_count, m - near_count, direction=rng.choice([-1, 1]))
-    threshold = groups.threshold_of_ratio(table_entry)
-    max_gap = int(groups.largest_gap(threshold) * Fraction(gap_share))
-    if max_gap < 1:
+    direction = rng.choice([-1, 1])
+    room = ONE - own_x_hat if direction > 0 else own_x_hat
+    groups = _groups_around_mean(m, direction)
+    test = _TestOfRound(own_x_hat, table_entry)
+    passed_rounds, rejected_rounds = [], []
+    for distance in _distances_to_try(test, groups, distance_share * room):
+        mean = own_x_hat + direction * distance
+        largest_rejected_scatter = test.largest_rejected_scatter(m * distance)
+        passed_rounds.append(_x_hats_with_scatter(mean, groups, largest_rejected_scatter + 1, True))
+        rejected_rounds.append(_x_hats_with_scatter(mean, groups, largest_rejected_scatter, False))
+    passed = test.nearest_to_threshold(passed_rounds)
+    rejected = test.nearest_to_threshold(rejected_rounds)
+    if passed is None or rejected is None:
         return None
-    ratio_below, ratio_above = fractions_around(threshold, max_gap)
-    inside = groups.make_x_hats(ratio_below, max_gap)
-    outside = groups.make_x_hats(ratio_above, max_gap)
-    pair_count = groups.near_count // 2 + groups.far_count // 2
-    if pair_count > 0:
-        # Both rounds are made of the rejected one, by two different moves of its pairs.
-        inside, outside = _bring_scatter_to_threshold(outside, pair_count, own_x_hat, table_entry)
-    smallest_x_hat, largest_x_hat = min(inside + outside), max(inside + outside)
-    if smallest_x_hat < 0 or largest_x_hat > ONE:
-        return None
-    return inside, outside
+    return passed, rejected
 
 
-def _bring_scatter_to_threshold(
-    rejected_x_hats: Sequence[int], pair_count: int, own_x_hat: int, table_entry: int
-) -> tuple[list[int], list[int]]:
-    """Return two rounds made of one that the test rejects: one just passes, and the other is just rejected.
+@dataclass(frozen=True)
+class _TestOfRound:
+    """The test (eq. 12) of a robot's x_hat against rounds with one number m of estimates.
 
-    They have the sum of ``rejected_x_hats``, and a scatter on either side of the test's limit. For that the
-    first ``pair_count`` pairs, of equal x_hat each, are moved apart. ``table_entry`` is k_m, as in a table.
+    In integers it rejects if table_entry * scatter < difference**2 * 2**FRACTION_BITS. The difference is that
+    of the sum of the round's x_hat from m times the robot's own.
+
+    Attributes:
+        own_x_hat: The robot's own x_hat.
+        table_entry: k_m, the threshold, as a table has it.
     """
-    # The test (eq. 12) in integers: it rejects if entry * scatter < difference**2 * 2**FRACTION_BITS.
-    difference = sum(rejected_x_hats) - len(rejected_x_hats) * own_x_hat
-    largest_rejected_scatter = (difference**2 * 2**FRACTION_BITS - 1) // table_entry
-    inside = _move_apart_in_pairs(rejected_x_hats, pair_count, largest_rejected_scatter + 1, is_at_least=True)
-    outside = _move_apart_in_pairs(rejected_x_hats, pair_count, largest_rejected_scatter, is_at_least=False)
-    return inside, outside
+
+    own_x_hat: int
+    table_entry: int
+
+    def largest_rejected_scatter(self, difference: int) -> int:
+        """Return the largest scatter at which the test still rejects a round with this difference."""
+        return ((difference**2 << FRACTION_BITS) - 1) // self.table_entry
+
+    def distance_from_threshold(self, x_hats: Sequence[int]) -> float:
+        """Return how far one side of the inequality is from the other, as a share of this."""
+        difference = sum(x_hats) - len(x_hats) * self.own_x_hat
+        return abs(self.table_entry * scatter_of(x_hats) / (difference**2 << FRACTION_BITS) - 1)
+
+    def nearest_to_threshold(self, rounds: Sequence[list[int] | None]) -> list[int] | None:
+        """Return the x_hat of the round that is the nearest to the threshold; None if all are None."""
+        possible_rounds = [x_hats for x_hats in rounds if x_hats is not None]
+        return min(possible_rounds, key=self.distance_from_threshold, default=None)
 
 
-def fractions_around(value: Fraction, max_denominator: int) -> tuple[Fraction, Fraction]:
-    """Return the largest fraction that is not above ``value``, and the smallest above it.
+def _distances_to_try(test: _TestOfRound, groups: Sequence[tuple[int, ...]], room: float) -> range:
+    """Return the largest distances of a mean from the robot's x_hat for which groups have room around it.
 
-    Their denominators are at most ``max_denominator``.
+    ``room`` is how far an x_hat may be from the robot's. `_groups_around_mean` returns such ``groups``. A
+    single group hardly meets the threshold for one distance, but it does for one of many. For rounds of many
+    estimates one or a few distances suffice.
     """
-    nearest = value.limit_denominator(max_denominator)
-    if nearest <= value:
-        return nearest, _next_fraction(nearest, max_denominator, direction=1)
-    return _next_fraction(nearest, max_denominator, direction=-1), nearest
+    # At the threshold a move is about this share of the distance of the mean.
+    relative_move = sqrt(2**FRACTION_BITS / test.table_entry)
+    largest_step = max(map(abs, groups[0]))
+    max_distance = int(room / (1 + largest_step * relative_move))
+    m = sum(map(len, groups))
+    min_distance = max(max_distance - _MAX_ESTIMATES_TRIED // m, 1)
+    return range(min_distance, max_distance + 1)
 
 
-def _next_fraction(fraction: Fraction, max_denominator: int, direction: int) -> Fraction:
-    """Return the next larger fraction for a ``direction`` of 1, and the next smaller one for -1.
+def _groups_around_mean(m: int, direction: int) -> list[tuple[int, ...]]:
+    """Return groups of ``m`` x_hat in all: each x_hat as a multiple of its group's move away from their mean.
 
-    It is the next among the fractions with denominators of at most ``max_denominator``, and ``fraction`` must
-    be one of these.
+    All groups are pairs, but for an odd ``m`` the first one has three. Two of these lie on the side of the
+    robot's own x_hat, where there is less room if that is near 0 or 1. The mean is in this ``direction`` from
+    it, 1 or -1.
     """
-    # The next fraction c/d to a/b has b c - a d = direction. So c = (a d + direction) / b, and for c to be a
-    # whole number d must be -direction / a modulo b. The largest d up to the limit gives the nearest c/d.
-    a, b = fraction.numerator, fraction.denominator
-    inverse_of_a = pow(a, -1, b)  # modulo b
-    d_modulo_b = (-direction * inverse_of_a) % b
-    d = max_denominator - (max_denominator - d_modulo_b) % b
-    c = (a * d + direction) // b
-    return Fraction(c, d)
+    pair = (1, -1)
+    if m % 2 == 0:
+        return [pair] * (m // 2)
+    triple = (2 * direction, -direction, -direction)
+    return [triple] + [pair] * ((m - 3) // 2)
 
 
 def scatter_of(x_hats: Sequence[int]) -> int:
@@ -393,29 +327,31 @@ def scatter_of(x_hats: Sequence[int]) -> int:
     return m * sum_of_squares - total * total
 
 
-def _move_apart_in_pairs(x_hats: Sequence[int], pair_count: int, target: int, is_at_least: bool) -> list[int]:
-    """Return a copy of ``x_hats``, some moved apart in pairs, so that their scatter reaches a target.
+def _x_hats_with_scatter(
+    mean: int, groups: Sequence[tuple[int, ...]], target: int, is_at_least: bool
+) -> list[int] | None:
+    """Return x_hat with this mean whose scatter, as `scatter_of` computes it, reaches a target.
 
-    Their sum stays. The scatter, as `scatter_of` computes it, must not be above ``target`` before. It ends
-    there or slightly above with ``is_at_least``, else there or slightly below. The first ``pair_count`` pairs
-    are moved. Both values of such a pair must be equal. Each pair takes nearly all that the pairs before it
-    have left.
+    The scatter is the target or slightly above with ``is_at_least``, else the target or slightly below. A
+    group has several x_hat, and says which multiples of a common move, of sum 0, lead from the mean to these.
+    Each group in turn is moved by as much as is still missing, or as there is room for between 0 and 1.
+    Returns None if all groups together have too little room.
     """
-    m = len(x_hats)
-    changed_x_hats = list(x_hats)
-    missing_scatter = target - scatter_of(x_hats)
-    for pair_index in range(pair_count):
-        # Two equal values add 2 m move**2 to the scatter if one is moved down and the other up by ``move``.
-        # This is the largest move that adds no more than is missing.
-        move = isqrt(missing_scatter // (2 * m))
-        is_last_pair = pair_index == pair_count - 1
-        is_below_target = 2 * m * move**2 < missing_scatter
-        if is_at_least and is_last_pair and is_below_target:
-            move += 1  # no other pair can add the rest
-        changed_x_hats[2 * pair_index] -= move
-        changed_x_hats[2 * pair_index + 1] += move
-        missing_scatter -= 2 * m * move**2
-    return changed_x_hats
+    m = sum(map(len, groups))
+    x_hats: list[int] = []
+    missing_scatter = target
+    for group in groups:
+        scatter_of_unit = m * sum(step**2 for step in group)  # of a move by 1; it grows with the square
+        room = min(mean // -min(group), (ONE - mean) // max(group))
+        move = min(isqrt(missing_scatter // scatter_of_unit), room)
+        missing_scatter -= scatter_of_unit * move**2
+        x_hats += [mean + step * move for step in group]
+    # One unit more of the last move adds more than what is missing, unless there was no room for it.
+    if move == room:
+        return None
+    if is_at_least and missing_scatter > 0:
+        x_hats[-len(group) :] = [mean + step * (move + 1) for step in group]
+    return x_hats
 
 
 def _is_float_test_wrong(robot: RobotState, rounds: RoundsAtThreshold) -> bool:
@@ -529,27 +465,33 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
     The robot's test passes it, and would reject it if a controller left out the bits from 2**56 on. The robot
     must have a table.
     """
+    m = _ESTIMATES_OF_LARGE_ROUND
+    counts_of_ones = range(1, m)
+    best_count = max(counts_of_ones, key=partial(_margin_of_large_scatter, robot))
+    x_hats = [ONE] * best_count + [0] * (m - best_count)
+    return list(map(NeighbourEstimate, x_hats, draw_alphas_of_one_scale(rng, m)))
+
+
+def _margin_of_large_scatter(robot: RobotState, count_of_ones: int) -> float:
+    """Return how clearly a round of so many ones, and zeros, shows a scatter without its bits from 2**56 on.
+
+    The robot's test must pass by the right scatter and reject by the wrong one. The margin is the factor by
+    which one side of the test's inequality exceeds the other, the smaller of both factors. It is below 1 if
+    the round does not show the mistake.
+    """
     assert robot.table is not None
     m = _ESTIMATES_OF_LARGE_ROUND
     threshold: float = robot.table.entry(m) / 2**FRACTION_BITS
-
-    def margin_of(count_of_ones: int) -> float:
-        """Return by which factor the right scatter passes and the wrong one rejects, the smaller of both."""
-        # In units of ONE**2, that is 2**46, the scatter of 0 and 1 is this product. Its bits from 2**56 on
-        # are those from 2**10 on in these units.
-        scatter = count_of_ones * (m - count_of_ones)
-        # Where these two would be 0, nothing could be divided by them: there they are 1.
-        scatter_without_bits = max(scatter % (1 << 10), 1)
-        difference_squared = max((count_of_ones - m * robot.x_hat / ONE) ** 2, 1)
-        # The test rejects if the squared difference is above threshold * scatter. The right scatter must
-        # clearly pass, and the scatter without these bits clearly reject.
-        margin_of_passing = threshold * scatter / difference_squared
-        margin_of_rejecting = difference_squared / (threshold * scatter_without_bits)
-        return min(margin_of_passing, margin_of_rejecting)
-
-    best_count = max(range(1, m), key=margin_of)  # of ones
-    x_hats = [ONE] * best_count + [0] * (m - best_count)
-    return list(map(NeighbourEstimate, x_hats, draw_alphas_of_one_scale(rng, m)))
+    # In units of ONE**2, that is 2**46, the scatter of 0 and 1 is this product. Its bits from 2**56 on are
+    # those from 2**10 on in these units.
+    scatter = count_of_ones * (m - count_of_ones)
+    # Where these two would be 0, nothing could be divided by them: there they are 1.
+    scatter_without_bits = max(scatter % (1 << 10), 1)
+    difference_squared = max((count_of_ones - m * robot.x_hat / ONE) ** 2, 1)
+    # The test rejects if the squared difference is above threshold * scatter.
+    margin_of_passing = threshold * scatter / difference_squared
+    margin_of_rejecting = difference_squared / (threshold * scatter_without_bits)
+    return min(margin_of_passing, margin_of_rejecting)
 
 
 def draw_round_of_distant_sum(robot: RobotState, rng: Random) -> list[NeighbourEstimate]:

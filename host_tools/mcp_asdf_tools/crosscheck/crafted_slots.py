@@ -9,13 +9,13 @@ Estimates in slots are in units of 2**-16, probabilities and shares in units of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from random import Random
 
-from mcp_asdf.mirror import INFORMATIVE_G, MirrorRobot, State
+from mcp_asdf.mirror import INFORMATIVE_G, State
 from mcp_asdf.robust_filter import (
     SLOT_ESTIMATE_MAX,
     RobustFilter,
@@ -76,6 +76,19 @@ class SlotsAtTest:
         tested_estimates = [q24_from_q16(estimate) for estimate in self.estimates]
         return is_supported(self.robust, self.t, self.n, tested_estimates, centre)
 
+    def moved(self, direction: int, steps: int) -> SlotsAtTest:
+        """Return slots after so many steps, each of which moves one estimate by a unit of 2**-16, in turn.
+
+        They move up for a ``direction`` of 1 and down for -1, and stop at the ends of a slot's range.
+        """
+        full_rounds, remaining_steps = divmod(steps, len(self.estimates))
+        moved_estimates = []
+        for index, estimate in enumerate(self.estimates):
+            has_step_of_last_round = index < remaining_steps
+            distance = full_rounds + 1 if has_step_of_last_round else full_rounds
+            moved_estimates.append(_limit_estimate(estimate + direction * distance))
+        return replace(self, estimates=tuple(moved_estimates))
+
     @cached_property
     def _centre_and_spread(self) -> tuple[int, int]:
         """Centre and spread of the estimates, in units of 2**-24."""
@@ -88,14 +101,14 @@ def centre_and_spread(estimates: Sequence[int]) -> tuple[int, int]:
     return centre_and_spread_of(ascending_q24_estimates)
 
 
-def filter_at_test(state: State) -> RobustFilter:
+def filter_at_test(robot: State) -> RobustFilter:
     """Return the robust filter's memory as it would be at a test that comes before the next observation.
 
-    The test would first end the batch of observations, which changes the dispersion. ``state``, the robot's,
-    stays as it is.
+    The test would first end the batch of observations, which changes the dispersion. The robot stays as it
+    is.
     """
-    robust = copy(state.robust)
-    end_batch(robust, state.t, state.n)
+    robust = copy(robot.robust)
+    end_batch(robust, robot.t, robot.n)
     return robust
 
 
@@ -120,7 +133,7 @@ def opposite_end(estimate: int) -> int:
 
 
 def draw_slots_at_threshold(
-    robot: MirrorRobot, count: int, width: int, rng: Random
+    robot: State, count: int, width: int, rng: Random
 ) -> tuple[SlotsAtTest, SlotsAtTest] | None:
     """Draw estimates by which a robot's test just does not reject, and by which it just does.
 
@@ -128,7 +141,7 @@ def draw_slots_at_threshold(
     the robot. The test comes before the robot's next observation.
 
     Args:
-        robot: The robot, after its last observation before the test.
+        robot: State of the robot after its last observation before the test.
         count: Number of estimates.
         width: How far the estimates are from their middle, at most, in units of 2**-16.
         rng: Source of the estimates.
@@ -137,74 +150,54 @@ def draw_slots_at_threshold(
         The estimates by which the test does not reject, and those by which it does; None if there are none in
         the direction that was drawn, or if too many of the second ones support the robot.
     """
-    state = robot.s
-    robust = filter_at_test(state)
-    # Estimates that agree with the observations, which are then moved away from them in one direction.
-    agreeing_estimate = estimate_that_predicts(robust, state.n / state.t)
-    start_estimates = [agreeing_estimate + rng.randint(-width, width) for _ in range(count)]
+    # The first estimates agree with the observations, and are then moved away from them in one direction.
+    agreeing_estimate = estimate_that_predicts(filter_at_test(robot), robot.n / robot.t)
+    estimates = [agreeing_estimate + rng.randint(-width, width) for _ in range(count)]
+    slots = _slots_at_test(robot, estimates)
     direction = rng.choice((-1, 1))
-
-    def slots_after(steps: int) -> SlotsAtTest:
-        """Return the slots after so many steps in the direction."""
-        estimates = _move_in_turn(start_estimates, direction, steps)
-        return SlotsAtTest(estimates, robust, state.t, state.n)
-
-    def is_rejected_after(steps: int) -> bool:
-        """Return whether the test rejects after so many steps."""
-        return slots_after(steps).is_rejected
-
     steps_to_end = count * SLOT_ONE  # after them all estimates are at the end of the range
-    if is_rejected_after(0) or not is_rejected_after(steps_to_end):
+    if slots.is_rejected or not slots.moved(direction, steps_to_end).is_rejected:
         return None
-    accepted_steps = _last_steps_accepted(is_rejected_after, steps_to_end)
-    accepted_slots, rejected_slots = slots_after(accepted_steps), slots_after(accepted_steps + 1)
+    accepted_steps = _last_steps_accepted(slots, direction, steps_to_end)
+    accepted_slots = slots.moved(direction, accepted_steps)
+    rejected_slots = slots.moved(direction, accepted_steps + 1)
     if rejected_slots.is_supported:
         return None
     return accepted_slots, rejected_slots
 
 
-def _last_steps_accepted(is_rejected_after: Callable[[int], bool], rejected_steps: int) -> int:
-    """Return a number of steps after which a test does not reject, though it does after one step more.
+def _slots_at_test(robot: State, estimates: Sequence[int]) -> SlotsAtTest:
+    """Return these estimates with what a test of the robot before its next observation needs beside them."""
+    return SlotsAtTest(tuple(estimates), filter_at_test(robot), robot.t, robot.n)
 
-    It must not reject after 0 steps, and must after ``rejected_steps``. The number is found by bisection.
+
+def _last_steps_accepted(slots: SlotsAtTest, direction: int, rejected_steps: int) -> int:
+    """Return a number of steps after which the test does not reject, though it does after one step more.
+
+    The estimates are moved in this direction. The test must not reject after 0 steps, and must after
+    ``rejected_steps``. The number is found by bisection.
     """
     accepted_steps = 0
     while rejected_steps - accepted_steps > 1:
         middle_steps = (accepted_steps + rejected_steps) // 2
-        if is_rejected_after(middle_steps):
+        if slots.moved(direction, middle_steps).is_rejected:
             rejected_steps = middle_steps
         else:
             accepted_steps = middle_steps
     return accepted_steps
 
 
-def _move_in_turn(estimates: Sequence[int], direction: int, steps: int) -> tuple[int, ...]:
-    """Return estimates after so many steps, each of which moves one of them by a unit of 2**-16, in turn.
-
-    They move up for a ``direction`` of 1 and down for -1, and stop at the ends of a slot's range.
-    """
-    full_rounds, remaining_steps = divmod(steps, len(estimates))
-    moved_estimates = []
-    for index, estimate in enumerate(estimates):
-        has_step_of_last_round = index < remaining_steps
-        distance = full_rounds + 1 if has_step_of_last_round else full_rounds
-        moved_estimates.append(_limit_estimate(estimate + direction * distance))
-    return tuple(moved_estimates)
-
-
-def slots_with_supporters(robot: MirrorRobot, count: int, supporter_count: int) -> SlotsAtTest | None:
+def slots_with_supporters(robot: State, count: int, supporter_count: int) -> SlotsAtTest | None:
     """Return ``count`` estimates by which a robot's test rejects, although some of them support the robot.
 
     ``supporter_count`` of them predict the share of black that the robot has observed. The others agree on
     the estimate that contradicts it most. Returns None if the test does not reject by these estimates, or if
     the firmware would count others as supporters, too, or not all of these.
     """
-    state = robot.s
-    robust = filter_at_test(state)
-    supporter = estimate_that_predicts(robust, state.n / state.t)
+    supporter = estimate_that_predicts(filter_at_test(robot), robot.n / robot.t)
     other = opposite_end(supporter)
     estimates = (supporter,) * supporter_count + (other,) * (count - supporter_count)
-    slots = SlotsAtTest(estimates, robust, state.t, state.n)
+    slots = _slots_at_test(robot, estimates)
     should_be_supported = 5 * supporter_count > 2 * count  # more than two in five
     if not slots.is_rejected or slots.is_supported != should_be_supported:
         return None

@@ -98,8 +98,8 @@ def workloads_along(axis: str) -> Iterator[Workload]:
 def _workloads_along_t() -> Iterator[Workload]:
     """Yield workloads of every number of observations that is a power of two, or one less, up to 2**31.
 
-    They have several b_hat and numbers of black observations. Where a robot's memory may have the size of
-    t, one more workload has that memory, which then halves t and n.
+    There are workloads of each filter. They have several b_hat and numbers of black observations. Where a
+    robot's memory may have the size of t, one more workload has that memory, which then halves t and n.
     """
     powers_of_two = {1 << exponent for exponent in range(32)}
     numbers_below = {power - 1 for power in powers_of_two}
@@ -116,7 +116,7 @@ def _workloads_along_t() -> Iterator[Workload]:
 
 
 def _workloads_along_m() -> Iterator[Workload]:
-    """Yield workloads of every number of messages in a round, in each of the situations of their class.
+    """Yield workloads of each filter with every number of messages in a round, in each of their situations.
 
     A situation is a dictionary of the other attributes of a workload.
     """
@@ -150,22 +150,29 @@ def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection
     for axis in axes:
         for workload in workloads_along(axis):
             value_on_axis: int = getattr(workload, axis)
-            checked_filter = checked_filter_of(workload.filter)
-            robot = workload.make_robot(firmware)
-            for call_name, call in CALLS.items():
-                count = count_instructions(partial(call, _copy_robot(robot)))
-                count_by_value = counts[checked_filter.label(call_name)][axis]
-                largest_count = count_by_value.get(value_on_axis, 0)
-                count_by_value[value_on_axis] = max(largest_count, count)
+            for label, count in _count_calls(workload, firmware).items():
+                count_by_value = counts[label][axis]
+                count_by_value[value_on_axis] = max(count, count_by_value.get(value_on_axis, 0))
+    return counts
+
+
+def _count_calls(workload: Workload, firmware: type[MirrorRobot]) -> dict[str, int]:
+    """Return the number of instructions of each of CALLS of the workload's robot, by name, such as "settle".
+
+    The names are those of `CheckedFilter.label`. Each call is made on a robot in the same state.
+    """
+    checked_filter = checked_filter_of(workload.filter)
+    robot = workload.make_robot(firmware)
+    counts = {}
+    for call_name, call in CALLS.items():
+        action = partial(call, _copy_robot(robot))
+        counts[checked_filter.label(call_name)] = count_instructions(action)
     return counts
 
 
 def _copy_robot(robot: MirrorRobot) -> MirrorRobot:
     """Return a robot of the same configuration with a copy of the state, so that a call may change it."""
-    # The copy is made without its __init__, which would compute a new state.
-    firmware = type(robot)
-    robot_copy = firmware.__new__(firmware)
-    robot_copy.config = robot.config
+    robot_copy = copy(robot)
     # Members of the state are numbers or hold nothing but numbers, so that each is copied by itself: a deep
     # copy takes most of the time of the whole count.
     robot_copy.s = copy(robot.s)
@@ -182,19 +189,27 @@ def find_growth(counts: Counts) -> list[str]:
     problems = []
     for call_name, count_by_axis in counts.items():
         for axis, count_by_value in count_by_axis.items():
-            values = sorted(count_by_value)
-            # Paths through a call differ in length, wherever on the axis they are taken. So the maxima of
-            # both halves of the axis are compared, not single counts.
-            middle = len(values) // 2
-            lower_maximum = max((count_by_value[value] for value in values[:middle]), default=0)
-            upper_maximum = max((count_by_value[value] for value in values[middle:]), default=0)
-            # A call that was cut short has a count above the limit, even if lower ones were cut short, too.
-            if upper_maximum > min(lower_maximum, _MAX_INSTRUCTIONS):
-                upper_half = f"where {axis} is {values[middle]} to {values[-1]}"
-                problems.append(
-                    f"{call_name}: {upper_maximum} instructions {upper_half}, but {lower_maximum} below"
-                )
+            if count_by_value:
+                problems += [f"{call_name}: {growth}" for growth in _growth_along(axis, count_by_value)]
     return problems
+
+
+def _growth_along(axis: str, count_by_value: dict[int, int]) -> list[str]:
+    """Return a text if the counts of a call are larger in the axis's upper half, and an empty list if not.
+
+    There must be a count.
+    """
+    # Paths through a call differ in length, wherever on the axis they are taken. So the maxima of both halves
+    # of the axis are compared, not single counts.
+    values = sorted(count_by_value)
+    middle = len(values) // 2
+    lower_maximum = max((count_by_value[value] for value in values[:middle]), default=0)
+    upper_maximum = max(count_by_value[value] for value in values[middle:])
+    # A call that was cut short has a count above the limit, even if lower ones were cut short, too.
+    if upper_maximum <= min(lower_maximum, _MAX_INSTRUCTIONS):
+        return []
+    upper_half = f"where {axis} is {values[middle]} to {values[-1]}"
+    return [f"{upper_maximum} instructions {upper_half}, but {lower_maximum} below"]
 
 
 def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict[int, int]]:
@@ -209,9 +224,14 @@ def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict
         table_sizes[q] = 4 * len(table_of_size(q).words())  # words of 4 bytes
     storage = {"tables": table_sizes}
     for checked_filter in CHECKED_FILTERS:
-        image_sizes = {}
-        for m in range(MAX_ROUND_SIZE + 1):
-            robot = checked_filter.workload(m=m).make_robot(firmware)
-            image_sizes[m] = len(robot.save())
-        storage[checked_filter.images_key] = image_sizes
+        storage[checked_filter.images_key] = _image_sizes(checked_filter.workload, firmware)
     return storage
+
+
+def _image_sizes(workload_class: type[Workload], firmware: type[MirrorRobot]) -> dict[int, int]:
+    """Return the bytes of a saved robot of these workloads by its number of messages, from 0 to 127."""
+    image_sizes = {}
+    for m in range(MAX_ROUND_SIZE + 1):
+        robot = workload_class(m=m).make_robot(firmware)
+        image_sizes[m] = len(robot.save())
+    return image_sizes

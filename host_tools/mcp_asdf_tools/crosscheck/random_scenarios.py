@@ -9,29 +9,20 @@ carries information.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import asdict
 from random import Random
 
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, LARGEST_ALPHA_UNITS, ONE
+from mcp_asdf.image_format import image_size
 from mcp_asdf.mirror import INFORMATIVE_G, accuracy_of, estimate
-from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MAX_ROUND_SIZE, Filter, Sums
+from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MAX_ROUND_SIZE, Filter
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, NeighbourEstimate, draw_x_hats_at_threshold
-from mcp_asdf_tools.crosscheck.image_words import (
-    ALPHA_WORD,
-    B_HAT_WORD,
-    CLOSED_ROUND_WORD,
-    FILTER_LEFT_WORD,
+from mcp_asdf_tools.crosscheck.image_numbers import (
+    COUNTER_NAMES,
     MAX_16_BITS,
     MAX_32_BITS,
-    N_WORD,
-    T_WORD,
-    X_HAT_WORD,
-    layout_of,
-    pack_closed_round,
-    pack_open_round_with_all_senders,
-    pack_pair,
-    pack_updates_and_id,
-    split_in_words,
+    largest_number_at,
+    places_of_numbers,
 )
 from mcp_asdf_tools.crosscheck.random_values import (
     SPECIAL_ALPHAS,
@@ -96,8 +87,9 @@ class ScenarioWriter:
         """Begin a scenario of a robot with this setup, without any call."""
         self._rng = rng
         self._setup = setup
-        self._layout = layout_of(setup.filter)
+        self._places_in_image = places_of_numbers(setup.filter)
         self._b_hat = setup.b_hat
+        """b_hat of the robot, as far as restored images and not its filter have set it."""
         self._common_x_hat = rng.choice([rng.randint(0, ONE), 0, HALF, ONE])
         """An x_hat near which many neighbours are."""
         self._calls: list[Call] = []
@@ -132,15 +124,12 @@ class ScenarioWriter:
         """Append a call; ``numbers`` are those of ``Call``."""
         self._calls.append(Call(name, numbers))
 
-    def _add_restore(self, words: dict[int, int]) -> None:
-        """Append a call that saves the robot, replaces words of its image, and restores it from that.
+    def _add_restore(self, new_numbers: dict[str, int]) -> None:
+        """Append a call that saves the robot, replaces numbers of its image, and restores it from that.
 
-        ``words`` are the new words by their index in the image. The firmware must refuse some images.
+        ``new_numbers`` are the numbers by their names in the image. The firmware must refuse some images.
         """
-        numbers: list[int] = []  # pairs of an index and a word, one after the other
-        for index, word in words.items():
-            numbers += [index, word]
-        self._add_call("restore", *numbers)
+        self._calls.append(Call("restore", new_numbers=tuple(new_numbers.items())))
 
     def _add_receive(self) -> None:
         """Append a message of any sender, x_hat and alpha; some are illegal."""
@@ -164,45 +153,45 @@ class ScenarioWriter:
                 self._add_call(call_name, self._draw_observation())
 
     def _add_observation_in_any_state(self) -> None:
-        """Restore the robot from an image with any t, n and b_hat, and let it observe one tile.
+        """Restore the robot from an image with any t and n, and let it observe one tile.
 
         n of its t observations are black. Often n / t is a share at which x_hat, which eq. 3 limits to 0 and
-        1, just reaches one of these.
+        1, just reaches one of these. In half of the cases b_hat is drawn anew, too. What the filter remembers
+        is drawn only if it depends on t and n. The tile is observed by ``step`` or ``observe``.
         """
-        rng, setup = self._rng, self._setup
+        rng = self._rng
         if rng.random() < 0.5:
             self._b_hat = draw_b_hat(rng)
-        t = draw_t(rng, setup.memory)
+        t = draw_t(rng, self._setup.memory)
         n = draw_n(rng, t, self._b_hat)
-        updates = rng.choice([0, 0, 1, MAX_16_BITS])
-        # The image must be legal: x_hat and alpha have to follow from t, n and b_hat, unless b_hat was
-        # re-estimated after they were computed.
-        is_b_hat_newer = rng.random() < 0.3
-        if is_b_hat_newer:
-            x_hat, alpha = self._draw_x_hat(), draw_alpha(rng)
-        elif t > 0:
-            x_hat, alpha = estimate(t, n, accuracy_of(self._b_hat))
-        else:
-            x_hat, alpha = HALF, 0  # before the first observation
-        words = {
-            B_HAT_WORD: self._b_hat,
-            T_WORD: t,
-            N_WORD: n,
-            X_HAT_WORD: x_hat,
-            ALPHA_WORD: alpha,
-            self._layout.updates_and_id_word: self._pack_updates(int(is_b_hat_newer), updates=updates),
-        }
-        words |= self._draw_filter_words(t, n)
-        self._add_restore(words)
+        new_numbers = {"b_hat": self._b_hat, "t": t, "n": n, "updates": rng.choice([0, 1, MAX_16_BITS])}
+        new_numbers |= self._draw_own_estimate(t, n)
+        new_numbers |= self._draw_filter_memory(t, n)
+        self._add_restore(new_numbers)
         call_name = rng.choice(["step", "observe"])
         colour = rng.randrange(2)  # white (0) or black (1)
         self._add_call(call_name, colour)
 
-    def _draw_filter_words(self, t: int, n: int) -> dict[int, int]:
-        """Return no words, since an image with counts t and n needs no others with the paper's filters.
+    def _draw_own_estimate(self, t: int, n: int) -> dict[str, int]:
+        """Return an x_hat and alpha that a robot with these counts and ``self._b_hat`` can have.
 
-        The robust filter does need some, by their index; its subclass draws them. The b_hat of the image is
-        ``self._b_hat``.
+        Usually they follow from b_hat and from n black of t observations. In three of ten cases the flag
+        ``updated``, which is returned with them, is 1 and not 0: b_hat has changed since x_hat and alpha were
+        computed. Then any may be legal, and they are drawn.
+        """
+        rng = self._rng
+        if rng.random() < 0.3:
+            return {"x_hat": self._draw_x_hat(), "alpha": draw_alpha(rng), "updated": 1}
+        x_hat, alpha = HALF, 0  # before the first observation
+        if t > 0:
+            x_hat, alpha = estimate(t, n, accuracy_of(self._b_hat))
+        return {"x_hat": x_hat, "alpha": alpha, "updated": 0}
+
+    def _draw_filter_memory(self, t: int, n: int) -> dict[str, int]:
+        """Return nothing, as what the paper's filters remember does not depend on the counts t and n.
+
+        A subclass draws the numbers of an image, by name, that its filter remembers after t observations, of
+        which n were black, with a b_hat of ``self._b_hat``.
         """
         return {}
 
@@ -213,128 +202,124 @@ class ScenarioWriter:
         follows. Whether it changes the robot as it must shows if an image was wrongly refused or accepted.
         """
         rng = self._rng
-        counter = rng.choice([0, MAX_16_BITS - 1, MAX_16_BITS])
-        alpha = rng.choice(SPECIAL_ALPHAS)
-        changes = self._draw_changes_of_image(counter, alpha)
         if rng.random() < 0.1:
-            byte_index = rng.randrange(4 * self._layout.word_count)
+            byte_index = rng.randrange(image_size(self._setup.filter))
             flipped_bit = 1 << rng.randrange(8)
             self._add_call("damage", byte_index, flipped_bit)
         else:
-            self._add_restore(rng.choice(changes))
-        self._add_call("receive", self._draw_sender(), self._draw_x_hat(), rng.choice([0, alpha]))
+            self._add_restore(self._draw_change_of_image())
+        alpha = rng.choice([0, rng.choice(SPECIAL_ALPHAS)])
+        self._add_call("receive", self._draw_sender(), self._draw_x_hat(), alpha)
 
-    def _draw_changes_of_image(self, counter: int, alpha: int) -> list[dict[int, int]]:
-        """Draw one change of each kind, as new words of an image by their index.
+    def _draw_change_of_image(self) -> dict[str, int]:
+        """Draw new numbers for an image, by name, by which it is just legal, or just not."""
+        draw_change = self._rng.choice(
+            [
+                self._draw_no_change,
+                self._draw_number_at_limit,
+                self._draw_number_at_limit,
+                self._draw_number_at_limit,
+                self._draw_counters,
+                self._draw_special_estimate,
+                self._draw_filter_memory_at_limits,
+                self._draw_any_number,
+            ]
+        )
+        return draw_change()
 
-        Many make the image just legal, or just not. ``counter`` is the number to which counters are set, and
-        ``alpha`` the word of the robot's confidence in the change that sets that.
+    def _draw_no_change(self) -> dict[str, int]:
+        """Return no new number: an image that was not changed must be restored."""
+        return {}
+
+    def _draw_number_at_limit(self) -> dict[str, int]:
+        """Draw one number of an image, by name, at a limit of its range or one unit beside it.
+
+        The numbers are those of robots with any filter. The flag ``updated`` is drawn, too: if it is 1, x_hat
+        and alpha need not follow from the new number.
         """
         rng = self._rng
-        updates_word = self._layout.updates_and_id_word  # with the counter of updates, "updated" and the id
-        filter_words = self._draw_filter_words_at_limits()
-        filter_left = self._draw_filter_left()
-        repeated_tests_updates, accepted_rejected = self._pack_counters(counter)
-        any_estimate = {
-            ALPHA_WORD: alpha,
-            X_HAT_WORD: self._draw_x_hat(),
-            # Legal only if b_hat is newer, and if alpha is written as robots write it
-            updates_word: self._pack_updates(updated=rng.choice([0, 1, 1])),
+        robot_id = self._setup.robot_id
+        limits_by_name = {
+            "b_hat": (B_HAT_MIN, B_HAT_MAX),
+            # At the memory, t would have been halved.
+            "t": (0, self._setup.memory - 1),
+            "filter_left": (1, self._setup.filter_period),
+            "updated": (0, 1, 128, 255),
+            # Another id than the robot's is as legal. One unit more or less differs in its lowest bit.
+            "id": (robot_id, MAX_ID, 255),
+            # The robot itself cannot be among the senders of the open round.
+            f"heard_{robot_id // 32}": (1 << (robot_id % 32),),
         }
-        itself_among_senders = self._layout.pack_sender(self._setup.robot_id)  # is impossible
-        # Only 0 and 1 are legal.
-        updated_flag = {updates_word: self._pack_updates(updated=rng.choice([0, 1, 2, 3, 128, 255]))}
-        # Ids up to 127 are legal. One differs from the robot's in the lowest bit.
-        another_robot_id = rng.choice([self._setup.robot_id ^ 1, MAX_ID, MAX_ID + 1, 255])
-        another_id = {updates_word: pack_updates_and_id(another_robot_id)}
-        # Three illegal ones, and one that x_hat and alpha hardly follow from
-        b_hat = {B_HAT_WORD: rng.choice([0, B_HAT_MIN - 1, B_HAT_MAX + 1, draw_b_hat(rng)])}
-        # Only below the memory t is legal: it would have been halved there.
-        t_at_memory = {
-            T_WORD: self._setup.memory - rng.randrange(2),
-            updates_word: self._pack_updates(updated=1),
-        }
-        word_index = rng.randint(B_HAT_WORD, updates_word)
-        one_bit = 1 << rng.randrange(32)
-        any_word = {word_index: rng.choice([0, 1, one_bit, MAX_32_BITS])}  # from b_hat to the last counter
-        return [
-            {},  # An image that was not changed must be restored.
-            filter_left,
-            repeated_tests_updates,
-            accepted_rejected,
-            any_estimate,
-            filter_words,
-            itself_among_senders,
-            updated_flag,
-            another_id,
-            b_hat,
-            t_at_memory,
-            any_word,
-        ]
+        name = rng.choice(list(limits_by_name))
+        value = rng.choice(limits_by_name[name]) + rng.randint(-1, 1)
+        return {"updated": rng.randrange(2), name: self._clamp_to_image(name, value)}
 
-    def _draw_filter_words_at_limits(self) -> dict[int, int]:
-        """Draw words of an image, by index, that bring two sums of the closed round about to their limits.
+    def _draw_counters(self) -> dict[str, int]:
+        """Draw all counters of events, by name; many are at their maximum, or about to reach it."""
+        return {name: self._rng.choice([0, MAX_16_BITS - 1, MAX_16_BITS]) for name in COUNTER_NAMES}
 
-        These are the sum of alpha, and ``alpha_x_low``: the sum of the lower 32 bits of alpha times x_hat.
+    def _draw_special_estimate(self) -> dict[str, int]:
+        """Draw the robot's own x_hat and an alpha at an edge, which are legal only if b_hat is newer.
+
+        They are not if alpha is written otherwise than robots write it. ``updated`` says whether b_hat is
+        newer; it is in two of three cases.
         """
+        rng = self._rng
+        alpha = rng.choice(SPECIAL_ALPHAS)
+        return {"x_hat": self._draw_x_hat(), "alpha": alpha, "updated": rng.choice([0, 1, 1])}
+
+    def _draw_filter_memory_at_limits(self) -> dict[str, int]:
+        """Draw two sums of the closed round, by name, at or next to their limits, or far beyond.
+
+        They are the sum of alpha, and the sum of the lower 32 bits of alpha times x_hat.
+        """
+        rng = self._rng
         largest_beta = MAX_ROUND_SIZE * LARGEST_ALPHA_UNITS
-        # At the limit, or one unit below or above it
-        beta_words = split_in_words(largest_beta + self._rng.randint(-1, 1))
-        # The sum alpha_x_low has 62 bits, so its upper word has 30.
-        alpha_x_low_upper_word = self._rng.choice([0, (1 << 30) - 1, 1 << 30, MAX_32_BITS])
-        return {
-            CLOSED_ROUND_WORD: beta_words[0],
-            CLOSED_ROUND_WORD + 1: beta_words[1],
-            CLOSED_ROUND_WORD + 3: alpha_x_low_upper_word,
-        }
+        largest_alpha_x_low = (1 << 62) - 1
+        alpha_x_low = rng.choice([0, largest_alpha_x_low, largest_alpha_x_low + 1, (1 << 64) - 1])
+        return {"closed_alpha": largest_beta + rng.randint(-1, 1), "closed_alpha_x_low": alpha_x_low}
 
-    def _draw_filter_left(self) -> dict[int, int]:
-        """Draw the word of the rounds until the filter runs next: from 1 to its period, or just beyond.
+    def _draw_any_number(self) -> dict[str, int]:
+        """Draw any number of an image, by name: 0, 1, its largest value, or one with a single bit."""
+        rng = self._rng
+        name = rng.choice(list(self._places_in_image))
+        largest_value = largest_number_at(self._places_in_image[name])
+        one_bit = 1 << rng.randrange(largest_value.bit_length())
+        return {name: rng.choice([0, 1, one_bit, largest_value])}
 
-        Zero, and one more than the period, are not legal.
-        """
-        period = self._setup.filter_period
-        one_beyond = (period + 1) & MAX_32_BITS
-        return {FILTER_LEFT_WORD: self._rng.choice([0, 1, 1, period, one_beyond])}
-
-    def _pack_counters(self, counter: int) -> tuple[dict[int, int], dict[int, int]]:
-        """Return two changes that set counters, which may then be about to wrap.
-
-        The first sets the counters of repeated messages, tests and updates, the second the counters of
-        accepted and of rejected messages, to ``counter``. Other counters in the same words get other numbers.
-        """
-        other_counter = MAX_16_BITS - counter  # An implementation that exchanges the halves shows.
-        repeated_tests_updates = {
-            self._layout.accepted_and_repeated_word: pack_pair(other_counter, counter),
-            self._layout.rejected_and_tests_word: pack_pair(0, counter),
-            self._layout.updates_and_id_word: self._pack_updates(updates=counter),
-        }
-        accepted_rejected = {
-            self._layout.accepted_and_repeated_word: pack_pair(counter, other_counter),
-            self._layout.rejected_and_tests_word: pack_pair(counter, 0),
-        }
-        return repeated_tests_updates, accepted_rejected
+    def _clamp_to_image(self, name: str, value: int) -> int:
+        """Return the value, or the nearest one for which the number of this name has room in an image."""
+        return clamp(value, 0, largest_number_at(self._places_in_image[name]))
 
     def _add_restore_at_limits(self) -> None:
         """End a round, and restore the robot with sums of a round at their limits, or one just beyond.
 
-        They are the sums of the last closed round, or of the open one.
+        They are the sums of the last closed round, or of the open one, which then has all other robots as
+        senders.
         """
         rng = self._rng
-        sums = draw_extreme_sums(rng)
+        sums = asdict(draw_extreme_sums(rng))
         if rng.random() < 0.7:
             # One unit more is beyond a limit that the sum is at, and must be refused.
-            sum_names = [field.name for field in fields(Sums)]
-            changed_name = rng.choice(sum_names)
-            changed_sum = getattr(sums, changed_name) + rng.choice([-1, 1, 1])
-            setattr(sums, changed_name, max(changed_sum, 0))
+            changed_name = rng.choice(list(sums))
+            sums[changed_name] = max(sums[changed_name] + rng.choice([-1, 1, 1]), 0)
         # The end of the round empties the open one, in which there may be a message already.
         self._add_call("settle")
         is_closed_round = rng.random() < 0.3
         if is_closed_round:
-            self._add_restore(pack_closed_round(sums))
+            names_of_closed_round = ("alpha", "alpha_x_low", "alpha_x_high")  # It keeps no other sums.
+            self._add_restore({f"closed_{name}": sums[name] for name in names_of_closed_round})
         else:
-            self._add_restore(pack_open_round_with_all_senders(sums, self._setup.robot_id))
+            open_round = {f"open_{name}": value for name, value in sums.items()}
+            self._add_restore(open_round | self._all_other_senders())
+
+    def _all_other_senders(self) -> dict[str, int]:
+        """Return the senders of the open round, by name, in an image whose robot has heard all others."""
+        # The senders are a mask with a bit for each id, of which each number has 32.
+        masks = {f"heard_{index}": MAX_32_BITS for index in range(4)}
+        robot_id = self._setup.robot_id
+        masks[f"heard_{robot_id // 32}"] ^= 1 << (robot_id % 32)
+        return masks
 
     def _add_test_at_threshold(self) -> None:
         """Append to the scenario a hypothesis test that the robot's x_hat just passes, or just does not.
@@ -348,13 +333,8 @@ class ScenarioWriter:
             self._add_tick()
             return
         m = self._draw_round_size(table_choice.q)
-        thresholds = table_choice.build()
-        threshold = thresholds.entry(m)  # for the test against m estimates
-        own_x_hat, passed_x_hats, rejected_x_hats = self._draw_x_hats_around_threshold(m, threshold)
-        # Where all x_hat are equal, both sides of eq. 12 are 0. The test must not reject at equality, either.
-        equal_x_hats = [own_x_hat] * m
-        # Equal ones are drawn once in seven cases.
-        x_hats = self._rng.choice([passed_x_hats, rejected_x_hats] * 3 + [equal_x_hats])
+        threshold = table_choice.build().entry(m)  # for the test against m estimates
+        own_x_hat, x_hats = self._draw_x_hats_around_threshold(m, threshold)
         estimates = [NeighbourEstimate(x_hat, draw_usual_alpha(self._rng)) for x_hat in x_hats]
         self._add_filter_run(own_x_hat, estimates)
 
@@ -369,24 +349,25 @@ class ScenarioWriter:
         anywhere = rng.randint(2, MAX_ROUND_SIZE)
         return min(rng.choice([at_edge, at_edge, anywhere]), MAX_ROUND_SIZE)
 
-    def _draw_x_hats_around_threshold(self, m: int, threshold: int) -> tuple[int, list[int], list[int]]:
-        """Draw an x_hat of the robot, and two lists of ``m`` neighbours' x_hat, for a test of the first.
+    def _draw_x_hats_around_threshold(self, m: int, threshold: int) -> tuple[int, list[int]]:
+        """Draw an x_hat of the robot, and ``m`` neighbours' x_hat for a test of the first.
 
-        The test just does not reject the robot's x_hat by the first list, and just does by the second.
-        ``threshold`` is k_m, the test's threshold for m estimates. All x_hat are in units of 2**-23.
+        By these the test just does not reject, or just does, each in three of seven cases. Otherwise all are
+        equal. ``threshold`` is k_m, the test's threshold for m estimates. All x_hat are in units of 2**-23.
         """
         rng = self._rng
-        # Not all draws leave room for two such lists in 0 .. 1.
+        # Not all draws leave room for such x_hat in 0 .. 1.
         while True:
             own_x_hat = rng.choice([0, HALF, ONE, rng.randint(0, ONE), rng.randint(0, ONE)])
             # Far apart, x_hat have sums with most bits; close together, a variance of few units.
-            any_share = rng.random()
             narrowing_bits = rng.choice([0, 0, 0, rng.randrange(20)])
-            gap_share = any_share / (1 << narrowing_bits)
-            x_hats_of_rounds = draw_x_hats_at_threshold(own_x_hat, threshold, m, rng, gap_share)
+            distance_share = rng.random() / (1 << narrowing_bits)
+            x_hats_of_rounds = draw_x_hats_at_threshold(own_x_hat, threshold, m, rng, distance_share)
             if x_hats_of_rounds is not None:
                 passed_x_hats, rejected_x_hats = x_hats_of_rounds
-                return own_x_hat, passed_x_hats, rejected_x_hats
+                # Where all x_hat are equal, both sides of eq. 12 are 0, and the test must not reject.
+                equal_x_hats = [own_x_hat] * m
+                return own_x_hat, rng.choice([passed_x_hats, rejected_x_hats] * 3 + [equal_x_hats])
 
     def _add_filter_near_one_half(self) -> None:
         """Run the filter on estimates whose mean is just informative, just not informative, or almost 1/2.
@@ -412,48 +393,44 @@ class ScenarioWriter:
     def _add_filter_run(self, own_x_hat: int, estimates: list[NeighbourEstimate]) -> None:
         """Restore the robot with this x_hat, receive these estimates, and run its filter.
 
-        The robot's observations are drawn, and in one of three cases its counter of tests is at its maximum.
         The estimates come from different robots, in random order.
         """
-        words = self._draw_words_before_filter_run(own_x_hat)
         self._add_call("settle")  # The end of a round empties the open one.
-        self._add_restore(words)
+        self._add_restore(self._draw_robot_before_filter_run(own_x_hat))
         other_ids = [sender for sender in range(MAX_ID + 1) if sender != self._setup.robot_id]
         senders = self._rng.sample(other_ids, len(estimates))
         for sender, (x_hat, alpha) in zip(senders, estimates, strict=True):
             self._add_call("receive", sender, x_hat, alpha)
         self._add_call("settle")  # at which the filter runs
 
-    def _draw_words_before_filter_run(self, own_x_hat: int) -> dict[int, int]:
-        """Draw words of an image, by index, of a robot with this x_hat whose filter runs at the next settle.
+    def _draw_robot_before_filter_run(self, own_x_hat: int) -> dict[str, int]:
+        """Draw numbers of an image, by name, of a robot with this x_hat whose filter runs at the next settle.
 
         Its observations are drawn, and in one of three cases its counter of tests is at its maximum.
         """
         rng = self._rng
         t = max(draw_t(rng, self._setup.memory), 1)  # without an observation the filter does not run
-        words = {
-            T_WORD: t,
-            N_WORD: draw_n(rng, t, self._b_hat),
-            X_HAT_WORD: own_x_hat,
-            ALPHA_WORD: ALPHA_ONE,
+        return {
+            "t": t,
+            "n": draw_n(rng, t, self._b_hat),
+            "x_hat": own_x_hat,
+            "alpha": ALPHA_ONE,
+            # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from it.
+            "updated": 1,
+            **self._draw_start_of_filter_run(),
         }
-        is_counter_at_maximum = rng.choice([False, False, True])  # then the test makes it 0
-        if is_counter_at_maximum:
-            words |= self._counter_of_tests_before_wrap()
-        # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from t, n and b_hat.
-        words[self._layout.updates_and_id_word] = self._pack_updates(updated=1)
-        words[FILTER_LEFT_WORD] = 1  # rounds until the filter runs: at the end of this one
-        return words
 
     # --- Values ---
 
-    def _counter_of_tests_before_wrap(self) -> dict[int, int]:
-        """Return the word, by index, in which the counter of tests is at its maximum: a test makes it 0."""
-        return {self._layout.rejected_and_tests_word: pack_pair(0, MAX_16_BITS)}
+    def _draw_start_of_filter_run(self) -> dict[str, int]:
+        """Return numbers of an image, by name, with which the filter runs at the end of the present round.
 
-    def _pack_updates(self, updated: int = 0, updates: int = 0) -> int:
-        """Return the word of an image that has the updates and the robot's id, by ``pack_updates_and_id``."""
-        return pack_updates_and_id(self._setup.robot_id, updated, updates)
+        In one of three cases the counter of tests is at its maximum, so that a test makes it 0.
+        """
+        start = {"filter_left": 1}
+        if self._rng.random() < 1 / 3:
+            start["tests"] = MAX_16_BITS
+        return start
 
     def _draw_observation(self) -> int:
         """Draw white (0) or black (1), in one of ten cases a number that is neither."""
@@ -465,7 +442,7 @@ class ScenarioWriter:
         return rng.randrange(2)
 
     def _draw_sender(self) -> int:
-        """Draw the id of a sender: one of ten, so that some repeat; any; the robot's own; or beyond 127."""
+        """Draw the id of a sender: one of ten, so that some repeat; any; the robot's own; 127 or above."""
         rng = self._rng
         one_of_ten = rng.randrange(10)
         any_id = rng.randrange(MAX_ID + 1)

@@ -26,7 +26,7 @@ from mcp_asdf.fixed_point import (
 from mcp_asdf.mirror import INFORMATIVE_G
 from mcp_asdf.robot import MAX_ROUND_SIZE, Sums
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, draw_normal_alpha
-from mcp_asdf_tools.crosscheck.image_words import MAX_32_BITS
+from mcp_asdf_tools.crosscheck.image_numbers import MAX_32_BITS
 
 B_HAT_INFORMATIVE_DISTANCE = INFORMATIVE_G // 2
 """Distance of b_hat from 1/2 from which on an observation carries information, in units of 2**-32."""

@@ -9,10 +9,10 @@ from typing import Any
 from rich.console import Group
 from rich.table import Table
 
+from mcp_asdf_tools.crosscheck.audit import Audit
 from mcp_asdf_tools.crosscheck.checked_filters import CHECKED_FILTERS
 from mcp_asdf_tools.crosscheck.compare import CrosscheckResult
 from mcp_asdf_tools.crosscheck.operation_count import AXES, Counts, find_growth
-from mcp_asdf_tools.crosscheck.oracle import Audit
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class CrosscheckReport:
         """Return everything as plain data, for JSON.
 
         ``ok`` says whether all is good, and ``steps`` is the number of calls that were compared. The audit
-        adds ``errors``, ``tests`` and the events of each filter under its name.
+        adds ``errors``, ``tests`` and, under ``robust``, the events of the robust filter.
         """
         failure = self.result.failure
         return {
@@ -77,66 +77,69 @@ class CrosscheckReport:
         }
 
     def tables(self) -> Group:
-        """Return two tables for the terminal: of the largest errors, and of the instructions of calls.
+        """Return two tables for the terminal: of the largest errors, and of the instructions of calls."""
+        return Group(self._error_table(), self._count_table())
 
-        Errors are by quantity and region, against exact fractions and against float64; regions without a
-        value are left out. Instructions are the most along each axis; "-" stands for an axis without counts.
+    def _error_table(self) -> Table:
+        """Return the largest errors by quantity and region, against exact fractions and against float64.
+
+        Regions without a value are left out.
         """
-        error_rows = []
+        rows = []
         for row in self.audit.as_dict()["errors"]:
             exact_error, float64_error = f"{row['exact']:.2g}", f"{row['float64']:.2g}"
-            error_rows.append((row["quantity"], row["region"], row["samples"], exact_error, float64_error))
-        error_table = _format_table(
+            rows.append((row["quantity"], row["region"], row["samples"], exact_error, float64_error))
+        title = (
             "largest errors by region of |2 b_hat - 1|, for b_hat of |2 x_bar - 1|; "
-            "those of alpha are relative",
-            ("", "region", "samples", "exact", "float64"),
-            error_rows,
+            "those of alpha are relative"
         )
-        count_rows = []
+        return _format_table(title, ("", "region", "samples", "exact", "float64"), rows)
+
+    def _count_table(self) -> Table:
+        """Return the most instructions of each call along each axis; "-" stands for one without counts."""
+        rows = []
         for call_name, count_by_axis in self.counts.items():
             largest_counts = [max(count_by_axis[axis].values(), default="-") for axis in AXES]
-            count_rows.append((call_name, *largest_counts))
-        count_table = _format_table(
-            "instructions of Python's interpreter per call, at most",
-            ("", *(f"over {axis}" for axis in AXES)),
-            count_rows,
-        )
-        return Group(error_table, count_table)
+            rows.append((call_name, *largest_counts))
+        columns = ("", *(f"over {axis}" for axis in AXES))
+        return _format_table("instructions of Python's interpreter per call, at most", columns, rows)
 
     def verdict(self) -> str:
         """Return the conclusion in some lines; after a failure the last one replays it.
 
-        The lines are of bytes of memory, of the events of each filter, of the calls that were made, of each
-        problem, and at the end of the failure or the agreement of both firmwares.
+        The lines are of bytes of memory, of the events of the robust filter, of the calls that were made, of
+        each problem, and at the end of the failure or the agreement of both firmwares.
         """
-        result = self.result
+        lines = [self._memory_line(), _format_events(self.audit.events), self._calls_line()]
+        lines += [f"FAILED: {problem}" for problem in self.problems]
+        failure = self.result.failure
+        lines.append("native and mirror agree in every bit" if failure is None else str(failure))
+        return "\n".join(lines)
+
+    def _memory_line(self) -> str:
+        """Return a line on the bytes that a table takes, and those of a saved robot, by filter."""
         image_sizes = []
         for checked_filter in CHECKED_FILTERS:
             size = max(self.storage[checked_filter.images_key].values())
             filter_name = checked_filter.name  # empty for the paper's filters
             robot_text = f"with the {filter_name} filter" if filter_name else "for a saved robot"
             image_sizes.append(f"{size} {robot_text}")
-        lines = [f"memory: 12 + 4 q bytes for a table, {', '.join(image_sizes)}"]
-        for filter_name, events in self.audit.events.items():
-            lines.append(_format_events(filter_name, events))
+        return f"memory: 12 + 4 q bytes for a table, {', '.join(image_sizes)}"
+
+    def _calls_line(self) -> str:
+        """Return a line on the number of calls and scenarios, the seed, and an interruption."""
+        result = self.result
         interruption = ", interrupted" if result.interrupted else ""
-        lines.append(
+        return (
             f"calls made and compared: {result.calls} in {result.scenarios} scenarios, seed {self.seed}"
             f"{interruption}"
         )
-        for problem in self.problems:
-            lines.append(f"FAILED: {problem}")
-        if result.failure is None:
-            lines.append("native and mirror agree in every bit")
-        else:
-            lines.append(str(result.failure))
-        return "\n".join(lines)
 
 
-def _format_events(filter_name: str, events: Counter[str]) -> str:
-    """Return a line on how often each event of a filter has happened: "the robust filter: 17 vote"."""
+def _format_events(events: Counter[str]) -> str:
+    """Return a line on how often each event of the robust filter happened: "the robust filter: 17 vote"."""
     counts = ", ".join(f"{number} {name}" for name, number in sorted(events.items()))
-    return f"the {filter_name} filter: {counts}"
+    return f"the robust filter: {counts}"
 
 
 def _format_table(title: str, columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Table:

@@ -9,24 +9,15 @@ Names of the state's fields are those of ``MirrorRobot.state``.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from enum import Enum
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 from mcp_asdf.fixed_point import HALF, ONE
 from mcp_asdf.reference import COUNTER_MODULUS
 from mcp_asdf.robust_reference import SLOTS, TESTED_ESTIMATES_MIN, Observations, Votes
-from mcp_asdf_tools.crosscheck.checks import (
-    alpha_units,
-    check_bounds,
-    check_exact,
-    check_whether_updated,
-    ends_round,
-    had_to_run_filter,
-    is_observation,
-)
+from mcp_asdf_tools.crosscheck.audit import Audit
+from mcp_asdf_tools.crosscheck.checks import alpha_units, check_bounds, check_exact, check_whether_updated
 from mcp_asdf_tools.crosscheck.robust_bounds import (
     dispersion_bounds,
     robust_test_outcome,
@@ -35,16 +26,7 @@ from mcp_asdf_tools.crosscheck.robust_bounds import (
     slot_estimate,
     support_outcome,
 )
-from mcp_asdf_tools.crosscheck.scenario import (
-    CALLS_THAT_REPLACE_ROBOT,
-    Call,
-    CallResult,
-    Setup,
-    State,
-)
-
-if TYPE_CHECKING:
-    from mcp_asdf_tools.crosscheck.oracle import Audit
+from mcp_asdf_tools.crosscheck.scenario import CALLS_THAT_REPLACE_ROBOT, CallRecord, State
 
 # The state holds fractions as integers, in units of 1 / ... of these numbers.
 _ESTIMATE_UNITS = 2**16
@@ -58,10 +40,8 @@ _B_HAT_UNITS = 2**32
 
 
 class Decision(Enum):
-    """What a run of the robust filter must decide; the value names it in a report."""
+    """What a test of the robust filter must decide; the value names it in a report."""
 
-    TOO_FEW_ESTIMATES = "too few"
-    """There are fewer than five estimates, and there must be no test."""
     TEST_ACCEPTS = "accepted"
     """The test does not reject the initial b_hat."""
     REJECTED_BUT_SUPPORTED = "supported"
@@ -72,22 +52,19 @@ class Decision(Enum):
     """The rounding of its terms may decide the test, or the number of supporters."""
 
 
-def check_robust_call(
-    audit: Audit, setup: Setup, call: Call, before: CallResult, after: CallResult
-) -> list[str]:
+def check_robust_call(record: CallRecord, audit: Audit) -> list[str]:
     """Return a line for each problem of the filter's memory, of x_bar and x, and of b_hat after a round.
 
     These events are counted in ``audit``:
         vote, own vote: An estimate in a slot was a vote, or the robot's own estimate.
-        too few, accepted, supported, rejected, undecided: What the filter had to decide; see `Decision`.
+        too few: The filter had too few estimates for a test.
+        accepted, supported, rejected, undecided: What the filter's test had to decide; see `Decision`.
         returned: b_hat became the initial one again.
     """
-    events = audit.events["robust"]
-    problems = _check_means(after.state)
-    problems += _check_memory(call, before, after, events)
-    if ends_round(call, after):
-        is_updated = after.outcome == "UPDATED"
-        problems += _check_filter(audit, events, before.state, after.state, is_updated)
+    problems = _check_means(record.new_state)
+    problems += _check_memory(record, audit)
+    if record.is_end_of_round:
+        problems += _check_filter(record, audit)
     return problems
 
 
@@ -101,80 +78,90 @@ def _check_means(state: State) -> list[str]:
     has_votes = state["robust_votes"] > 0
     if has_votes:
         x = x_bar = state["robust_centre"] * ONE // _VOTE_UNITS  # from units of 2**-30 to 2**-23
+    # Names that end in () are results of methods, of which the state has the values, too.
     return check_exact(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
 
 
-def _check_filter(
-    audit: Audit, events: Counter[str], old_state: State, new_state: State, is_updated: bool
-) -> list[str]:
+def _check_filter(record: CallRecord, audit: Audit) -> list[str]:
     """Return a line for each problem of the filter at the end of a round.
 
     If the filter does not run, or has too few estimates for a test, b_hat and the robot's counter of tests
-    must be as before. Otherwise that counter must be one higher. Then b_hat must have been re-estimated, to
-    the right value, if the test rejects and the robot has too few supporters, and must be the initial one if
-    not. Where rounding may decide which, b_hat is not checked.
-
-    Decisions and returns to the initial b_hat are counted in ``events``, and tests in ``audit.tests``.
+    must be as before; the latter is counted in ``audit``. Otherwise that counter must be one higher, and
+    b_hat must be what follows from the test.
     """
-    if not had_to_run_filter(old_state, new_state):
-        return _check_nothing_tested_or_updated(old_state, new_state, is_updated)
-    decision, centre = _expected_decision(new_state)
-    events[decision.value] += 1
-    if decision is Decision.TOO_FEW_ESTIMATES:
-        return _check_nothing_tested_or_updated(old_state, new_state, is_updated)
+    if not record.had_to_run_filter:
+        return _check_nothing_tested_or_updated(record)
+    # Besides b_hat a run changes only the batch of observations and the dispersion, both before its test. So
+    # all that it decides by is still in the new state.
+    estimates = [_estimate_of_slot(record.new_state, slot) for slot in _filled_slots(record.new_state)]
+    if len(estimates) < TESTED_ESTIMATES_MIN:
+        audit.events["too few"] += 1
+        return _check_nothing_tested_or_updated(record)
+    expected_tests = (record.old_state["tests"] + 1) % COUNTER_MODULUS
+    problems = check_exact(record.new_state, {"tests": expected_tests})
+    return problems + _check_b_hat_after_test(record, estimates, audit)
+
+
+def _check_b_hat_after_test(record: CallRecord, estimates: Sequence[Fraction], audit: Audit) -> list[str]:
+    """Return a line for each problem of b_hat after a test against these estimates.
+
+    b_hat must have been re-estimated, to the right value, if the test rejects and the robot has too few
+    supporters, and must be the initial one if not. Where rounding may decide which, b_hat is not checked. The
+    test and its decision are counted in ``audit``.
+    """
     audit.tests += 1
-    expected_tests = (old_state["tests"] + 1) % COUNTER_MODULUS
-    problems = check_exact(new_state, {"tests": expected_tests})
+    centre, spread = rounded_centre_and_spread(estimates)
+    decision = _expected_decision(record.new_state, estimates, centre, spread)
+    audit.events[decision.value] += 1
+    if decision is Decision.ROUNDING_DECIDES:
+        return []
     if decision is Decision.REJECTED:
-        assert centre is not None
-        problems += audit.check_b_hat(new_state, centre, is_updated)
-    if decision in (Decision.TEST_ACCEPTS, Decision.REJECTED_BUT_SUPPORTED):
-        initial_b_hat = new_state["robust_initial_b_hat"]
-        is_return = old_state["b_hat()"] != initial_b_hat
-        if is_return:
-            events["returned"] += 1
-        problems += check_exact(new_state, {"b_hat()": initial_b_hat})
-        problems += check_whether_updated(is_updated, expected=is_return)
-    return problems
+        return audit.check_b_hat(record, centre)
+    return _check_initial_b_hat(record, audit)
 
 
-def _check_nothing_tested_or_updated(old_state: State, new_state: State, is_updated: bool) -> list[str]:
+def _check_nothing_tested_or_updated(record: CallRecord) -> list[str]:
     """Return a line for each sign of a test or of an update of b_hat, where there must be neither."""
-    problems = check_exact(new_state, {"b_hat()": old_state["b_hat()"], "tests": old_state["tests"]})
-    return problems + check_whether_updated(is_updated, expected=False)
+    expected = {name: record.old_state[name] for name in ("b_hat()", "tests")}
+    problems = check_exact(record.new_state, expected)
+    return problems + check_whether_updated(record.is_updated, expected=False)
 
 
-def _check_memory(call: Call, before: CallResult, after: CallResult, events: Counter[str]) -> list[str]:
+def _check_initial_b_hat(record: CallRecord, audit: Audit) -> list[str]:
+    """Return a line for each sign of another b_hat than the initial one, which it must be after a test.
+
+    The call must have reported an update only if b_hat was another one before. Such a return to the initial
+    one is counted in ``audit``.
+    """
+    initial_b_hat = record.new_state["robust_initial_b_hat"]
+    is_return = record.old_state["b_hat()"] != initial_b_hat
+    if is_return:
+        audit.events["returned"] += 1
+    problems = check_exact(record.new_state, {"b_hat()": initial_b_hat})
+    return problems + check_whether_updated(record.is_updated, expected=is_return)
+
+
+def _check_memory(record: CallRecord, audit: Audit) -> list[str]:
     """Check what a call has done to the memory of the robust filter, and return a line for each problem.
 
     The memory consists of the estimates in the slots, the summary of the votes, and the batch of observations
     with their dispersion; what a call must not change there must be as before. After a ``restore`` or
-    ``damage`` nothing is checked. Each vote is counted in ``events``.
+    ``damage`` nothing is checked. Each vote is counted in ``audit``.
     """
-    old_state, new_state = before.state, after.state
-    if call.name in CALLS_THAT_REPLACE_ROBOT:
+    if record.call.name in CALLS_THAT_REPLACE_ROBOT:
         # The memory comes from an image. Here nothing is known of it; `compare_firmwares` compares it.
         return []
-    expected = _memory_of(old_state)
+    expected = _memory_of(record.old_state) | _slot_after_message(record) | _batch_after_halving(record)
+    if not record.is_end_of_round:
+        return check_exact(record.new_state, expected)
+    expected |= _votes_after_round(record, audit)
     problems: list[str] = []
-    if call.name == "receive":
-        sender, x_hat, alpha = call.numbers
-        has_confidence = alpha_units(alpha) > 0
-        if after.outcome == "OK" and has_confidence:
-            expected |= _slot_after(old_state, sender, x_hat)
-    new_batch = {"robust_batch_t": new_state["t"], "robust_batch_n": new_state["n"]}
-    if is_observation(call, after):
-        is_memory_halved = new_state["t"] != old_state["t"] + 1
-        if is_memory_halved:
-            # The old counts cannot be compared with the halved ones, so a new batch begins.
-            expected |= new_batch
-    if ends_round(call, after):
-        expected |= _votes_after_round(old_state, new_state, events)
-        if had_to_run_filter(old_state, new_state):
-            problems += _check_dispersion(expected, new_state)
-            # The run ends the batch. The dispersion has been checked, and has no single right value.
-            expected |= new_batch | {"robust_dispersion": new_state["robust_dispersion"]}
-    return problems + check_exact(new_state, expected)
+    if record.had_to_run_filter:
+        problems = _check_dispersion(expected, record.new_state)
+        # The run ends the batch. The dispersion has been checked, and has no single right value.
+        expected |= _new_batch(record.new_state)
+        expected["robust_dispersion"] = record.new_state["robust_dispersion"]
+    return problems + check_exact(record.new_state, expected)
 
 
 def _memory_of(state: State) -> State:
@@ -182,17 +169,39 @@ def _memory_of(state: State) -> State:
     return {name: value for name, value in state.items() if name.startswith(("robust_", "estimates_"))}
 
 
-def _slot_after(old_state: State, sender: int, x_hat: int) -> State:
-    """Return the new values of the fields that change when a sender's estimate is put into its slot.
+def _slot_after_message(record: CallRecord) -> State:
+    """Return the new values of the fields that change when a message's estimate is put into a slot, by name.
 
-    They are the estimate in the slot, and the mask of the filled slots. ``x_hat`` is in units of 2**-23.
+    They are the estimate in the sender's slot, and the mask of the filled slots. No field changes, and the
+    result is empty, if the call is no message, or one that is not accepted or has no confidence.
     """
+    if record.call.name != "receive" or record.after.outcome != "OK":
+        return {}
+    sender, x_hat, alpha = record.call.numbers  # x_hat is in units of 2**-23
+    if alpha_units(alpha) == 0:
+        return {}
     slot = sender % SLOTS
     estimate = slot_estimate(Fraction(x_hat, ONE))
     return {
         f"estimates_{slot}": int(estimate * _ESTIMATE_UNITS),
-        "robust_filled_slots": old_state["robust_filled_slots"] | (1 << slot),
+        "robust_filled_slots": record.old_state["robust_filled_slots"] | (1 << slot),
     }
+
+
+def _batch_after_halving(record: CallRecord) -> State:
+    """Return the fields of a new batch, which begins if an observation has halved t and n, or else nothing.
+
+    The counts at the beginning of the old batch could not be compared with the halved ones.
+    """
+    if not record.is_observation:
+        return {}
+    is_memory_halved = record.new_state["t"] != record.old_state["t"] + 1
+    return _new_batch(record.new_state) if is_memory_halved else {}
+
+
+def _new_batch(state: State) -> State:
+    """Return the fields of a batch of observations that begins after those of this state."""
+    return {"robust_batch_t": state["t"], "robust_batch_n": state["n"]}
 
 
 def _filled_slots(state: State) -> list[int]:
@@ -206,17 +215,17 @@ def _estimate_of_slot(state: State, slot: int) -> Fraction:
     return Fraction(state[f"estimates_{slot}"], _ESTIMATE_UNITS)
 
 
-def _votes_after_round(old_state: State, new_state: State, events: Counter[str]) -> State:
+def _votes_after_round(record: CallRecord, audit: Audit) -> State:
     """Return the new values of the fields that the vote at the end of a round changes, by name.
 
     These are the centre, the spread and the number of the votes, and the slot from which on the next vote is
     looked for. If all slots are empty there is no vote, and the result is empty. The vote is counted in
-    ``events``.
+    ``audit``.
     """
-    slots = _filled_slots(old_state)
-    if not slots:
+    old_state = record.old_state
+    if not _filled_slots(old_state):
         return {}
-    x_hat, next_turn = _vote_and_next_turn(slots, old_state, new_state, events)
+    x_hat, next_turn = _vote_and_next_turn(record, audit)
     old_votes = Votes(
         centre=Fraction(old_state["robust_centre"], _VOTE_UNITS),
         spread=Fraction(old_state["robust_spread"], _VOTE_UNITS),
@@ -231,24 +240,23 @@ def _votes_after_round(old_state: State, new_state: State, events: Counter[str])
     }
 
 
-def _vote_and_next_turn(
-    filled_slots: Sequence[int], old_state: State, new_state: State, events: Counter[str]
-) -> tuple[Fraction, int]:
+def _vote_and_next_turn(record: CallRecord, audit: Audit) -> tuple[Fraction, int]:
     """Return the x_hat that votes at the end of a round, and the slot from which on the next vote comes.
 
     The estimates in the slots vote by turns, and after the last of them the robot's own estimate if it has
     confidence. That is the one of the new state, as a ``step`` observes before it ends the round. There must
-    be a filled slot. The vote is counted in ``events``.
+    be a filled slot. The vote is counted in ``audit``.
     """
-    remaining_slots = [slot for slot in filled_slots if slot >= old_state["robust_turn"]]
-    has_own_confidence = alpha_units(new_state["alpha"]) > 0
+    filled_slots = _filled_slots(record.old_state)
+    remaining_slots = [slot for slot in filled_slots if slot >= record.old_state["robust_turn"]]
+    has_own_confidence = alpha_units(record.new_state["alpha"]) > 0
     if not remaining_slots and has_own_confidence:
-        events["own vote"] += 1
-        return Fraction(new_state["x_hat"], ONE), 0
-    events["vote"] += 1
+        audit.events["own vote"] += 1
+        return Fraction(record.new_state["x_hat"], ONE), 0
+    audit.events["vote"] += 1
     # After the last filled slot it is the turn of the first one again.
     slot = remaining_slots[0] if remaining_slots else filled_slots[0]
-    return _estimate_of_slot(old_state, slot), slot + 1
+    return _estimate_of_slot(record.old_state, slot), slot + 1
 
 
 def _check_dispersion(old_memory: State, new_state: State) -> list[str]:
@@ -267,32 +275,20 @@ def _check_dispersion(old_memory: State, new_state: State) -> list[str]:
     return check_bounds("dispersion", new_dispersion, bounds)
 
 
-def _expected_decision(state: State) -> tuple[Decision, Fraction | None]:
-    """Return what a run of the filter that has led to this state must have decided, and by which centre.
+def _expected_decision(
+    state: State, estimates: Sequence[Fraction], centre: Fraction, spread: Fraction
+) -> Decision:
+    """Return what the filter's test of a robot in this state must have decided.
 
-    That is the centre of the estimates, and None if there are too few of them for a test. All that it decides
-    by is still in the state: besides b_hat a run changes only the batch of observations and the dispersion,
-    and both before it decides.
+    ``centre`` and ``spread`` are those of the estimates in its slots. More than two of five estimates may
+    support the robot; that counts only if the test rejects.
     """
-    estimates = [_estimate_of_slot(state, slot) for slot in _filled_slots(state)]
-    if len(estimates) < TESTED_ESTIMATES_MIN:
-        return Decision.TOO_FEW_ESTIMATES, None
-    centre, spread = rounded_centre_and_spread(estimates)
     initial_b_hat = Fraction(state["robust_initial_b_hat"], _B_HAT_UNITS)
     dispersion = Fraction(state["robust_dispersion"], _DISPERSION_UNITS)
     observations = Observations(state["n"], state["t"], dispersion)
+    # Either is None if rounding may decide it.
     is_rejected = robust_test_outcome(observations, initial_b_hat, centre, spread)
     is_supported = support_outcome(observations, initial_b_hat, estimates, centre)
-    return _decision_by(is_rejected, is_supported), centre
-
-
-def _decision_by(is_rejected: bool | None, is_supported: bool | None) -> Decision:
-    """Return what a run of the filter must decide.
-
-    ``is_rejected`` says whether its test rejects the initial b_hat, and ``is_supported`` whether enough
-    estimates support the robot, which counts only if the test rejects. Either is None if rounding may decide
-    it.
-    """
     if is_rejected is False:
         return Decision.TEST_ACCEPTS
     if is_rejected is None or is_supported is None:

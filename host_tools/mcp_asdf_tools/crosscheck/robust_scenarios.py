@@ -7,14 +7,13 @@ is just an outlier, estimates that decide the test by one unit, and supporters t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, replace
 from math import isqrt
 from random import Random
 
-from mcp_asdf.arithmetic import Q32_ONE, q32_quotient
+from mcp_asdf.arithmetic import Q32_HALF, Q32_ONE, q32_quotient
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE
-from mcp_asdf.mirror import MirrorRobot, reestimate
+from mcp_asdf.mirror import State, accuracy_of, reestimate
 from mcp_asdf.robot import MAX_ID, Filter
 from mcp_asdf.robust_filter import (
     CENTRE_START,
@@ -45,17 +44,6 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
     draw_slots_at_threshold,
     slots_with_supporters,
 )
-from mcp_asdf_tools.crosscheck.image_words import (
-    ALPHA_WORD,
-    B_HAT_WORD,
-    FILTER_LEFT_WORD,
-    MAX_16_BITS,
-    MAX_32_BITS,
-    N_WORD,
-    T_WORD,
-    X_HAT_WORD,
-    pack_pair,
-)
 from mcp_asdf_tools.crosscheck.random_scenarios import ScenarioWriter, draw_setup
 from mcp_asdf_tools.crosscheck.random_values import (
     clamp,
@@ -69,9 +57,6 @@ from mcp_asdf_tools.crosscheck.scenario import Scenario
 _CENTRE_ONE = q30_from_q23(ONE)
 _SLOT_UNIT = q30_from_q23(q23_from_q16(1))
 """Unit of the estimates in slots, as a number of units of the votes."""
-
-_FIRST_FILTER_WORD, _FIRST_SLOTS_WORD = 7, 15
-"""First words of an image that hold what the filter remembers, and the estimates of its slots."""
 
 _VOTE_COUNTS = (
     # No vote, and first ones
@@ -93,51 +78,6 @@ _MAX_DRAWS = 10
 """Robots that are drawn to find one for which there are estimates of a kind."""
 
 
-@dataclass
-class DrawnRobot:
-    """What the robust filter of a robot works with, as an image holds it.
-
-    Attributes:
-        t: Number of observations, from 1.
-        n: Number of black ones among them.
-        b_hat: Present accuracy that the robot assumes of its sensor, in units of 2**-32.
-        robust: What the filter remembers.
-        estimates: The estimates of all 32 slots, in units of 2**-16.
-    """
-
-    t: int
-    n: int
-    b_hat: int
-    robust: RobustFilter
-    estimates: list[int]
-
-    @property
-    def may_have_been_tested(self) -> bool:
-        """Whether the filter may have tested the robot, so that b_hat need not be the initial one.
-
-        It may have if there are enough estimates for a test, and if it has run: then a batch has ended.
-        """
-        filled_slots = self.robust.filled_slots.bit_count()  # a mask with a bit for each slot
-        has_ended_batch = self.robust.batch_t > 0
-        return filled_slots >= TESTED_ESTIMATES_MIN and has_ended_batch
-
-    def fill_slots(self, estimates: tuple[int, ...], rng: Random) -> None:
-        """Put these estimates into slots drawn at random, and empty all other slots.
-
-        The turn to vote becomes one that is possible with these slots.
-        """
-        slots = rng.sample(range(SLOTS), len(estimates))
-        self.estimates = [0] * SLOTS
-        self.robust.filled_slots = 0
-        for slot, estimate in zip(slots, estimates, strict=True):
-            self.estimates[slot] = estimate
-            self.robust.filled_slots |= 1 << slot
-        self.robust.turn = 0
-        if self.robust.votes > 0:
-            # A turn that is not 0 is the slot after a filled slot.
-            self.robust.turn = rng.choice([0, slots[0] + 1])
-
-
 def robust_scenario(seed: int, index: int) -> Scenario:
     """Return a scenario of a robot with the robust filter, of up to a few hundred calls.
 
@@ -155,7 +95,7 @@ class RobustScenarioWriter(ScenarioWriter):
 
     def _add_restore_at_limits(self) -> None:
         """Restore a robot whose filter remembers one value at its limit or just beyond, and settle."""
-        self._add_restore(self._draw_filter_words_at_limits())
+        self._add_restore(self._draw_filter_memory_at_limits())
         self._add_call("settle")
 
     def _add_test_at_threshold(self) -> None:
@@ -175,6 +115,7 @@ class RobustScenarioWriter(ScenarioWriter):
                 self._draw_supporters_and_others,
                 self._draw_supporters_and_others,
                 self._draw_supporters_and_tie,
+                self._draw_opposite_estimates,
                 self._draw_skewed_estimates,
                 self._draw_slowly_centred_estimates,
             ]
@@ -183,7 +124,7 @@ class RobustScenarioWriter(ScenarioWriter):
             robot = self._draw_robot()
             estimates = draw_estimates(robot, count)
             if estimates is not None:
-                robot.fill_slots(estimates, rng)
+                _fill_slots(robot, estimates, rng)
                 self._add_filter_run_of(robot)
                 return
 
@@ -200,92 +141,87 @@ class RobustScenarioWriter(ScenarioWriter):
         # Among several estimates some are one unit higher, so that their centre lies between two units.
         raised_count = rng.choice([0, 0, 1, rng.randint(0, count)])
         estimates = (middle,) * (count - raised_count) + (middle + 1,) * raised_count
-        robot.fill_slots(estimates, rng)
+        _fill_slots(robot, estimates, rng)
         # With observations of one colour, none or all of t, the test rejects.
-        robot.n = rng.choice([0, robot.t, robot.n])
-        # The next batch of observations is empty, so that it does not change their dispersion.
-        robot.robust.batch_t, robot.robust.batch_n = robot.t, robot.n
+        _replace_observations(robot, rng.choice([0, robot.t, robot.n]))
         self._add_filter_run_of(robot)
 
-    def _add_filter_run_of(self, robot: DrawnRobot) -> None:
+    def _add_filter_run_of(self, robot: State) -> None:
         """Append calls that restore this robot from an image, and end a round at whose end its filter runs.
 
         In one of five cases the robot receives a message before the round ends, whose estimate may replace
         one of those that it keeps and tests itself against. The present b_hat of ``robot`` is drawn here.
         """
-        rng = self._rng
-        # An earlier test may have changed b_hat. If the next one passes, the initial b_hat must come back.
-        is_b_hat_changed = robot.may_have_been_tested and rng.random() < 0.5
-        robot.b_hat = draw_b_hat(rng) if is_b_hat_changed else robot.robust.initial_b_hat
-        words = self._draw_image_words(robot)
-        words[FILTER_LEFT_WORD] = 1  # rounds until the filter runs: at the end of this one
-        is_counter_at_maximum = rng.choice([False, False, True])  # then the test makes it 0
-        if is_counter_at_maximum:
-            words |= self._counter_of_tests_before_wrap()
-        self._add_restore(words)
-        if rng.random() < 0.2:
+        self._draw_present_b_hat(robot)
+        self._add_restore(self._image_numbers(robot) | self._draw_start_of_filter_run())
+        if self._rng.random() < 0.2:
             self._add_receive()
         self._add_call("settle")  # ends the round
 
     # --- Images ---
 
-    def _draw_image_words(self, robot: DrawnRobot) -> dict[int, int]:
-        """Return the words of an image of this robot, whose own x_hat and alpha are drawn.
+    def _image_numbers(self, robot: State) -> dict[str, int]:
+        """Return the numbers of an image of this robot, by name, with an x_hat and alpha that are drawn.
 
         Its b_hat becomes that of the scenario's robot from now on.
         """
         rng = self._rng
-        self._b_hat = robot.b_hat
+        self._b_hat = robot.accuracy.b_hat
         # Without confidence (0) the robot's own estimate does not vote.
         mantissa_without_shift = rng.randrange(1 << 24) << 8
-        alpha = rng.choice([0, mantissa_without_shift, draw_normal_alpha(rng)])
         return {
-            B_HAT_WORD: robot.b_hat,
-            T_WORD: robot.t,
-            N_WORD: robot.n,
-            X_HAT_WORD: self._draw_own_x_hat(robot.robust),
-            ALPHA_WORD: alpha,
+            "b_hat": self._b_hat,
+            "t": robot.t,
+            "n": robot.n,
+            "x_hat": self._draw_own_x_hat(robot.robust),
+            "alpha": rng.choice([0, mantissa_without_shift, draw_normal_alpha(rng)]),
             # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from it.
-            self._layout.updates_and_id_word: self._pack_updates(updated=1),
-            **_pack_robust_filter(robot.robust, robot.estimates),
+            "updated": 1,
+            **_memory_numbers(robot),
         }
 
-    def _draw_filter_words(self, t: int, n: int) -> dict[int, int]:
-        """Draw the words of the robust filter's memory, by index, after t observations of which n were black.
+    def _draw_filter_memory(self, t: int, n: int) -> dict[str, int]:
+        """Draw what the robust filter remembers after t observations of which n were black, by name.
 
         The present b_hat is ``self._b_hat``. The initial one differs from it at most where a test may have
         changed b_hat.
         """
         robot = self._draw_robot_after(t, n, initial_b_hat=self._b_hat)
-        if robot.may_have_been_tested:
+        if _may_have_been_tested(robot):
             robot.robust.initial_b_hat = self._rng.choice([self._b_hat, draw_b_hat(self._rng)])
-        return _pack_robust_filter(robot.robust, robot.estimates)
+        return _memory_numbers(robot)
 
-    def _draw_filter_words_at_limits(self) -> dict[int, int]:
-        """Draw words of an image in which one value that the filter remembers is at or next to a limit.
+    def _draw_filter_memory_at_limits(self) -> dict[str, int]:
+        """Draw an image, as numbers by name, in which one value that the filter remembers is at a limit.
 
-        The image is that of a robot that is drawn, too. It may be one that the firmware must refuse.
+        Or it is one unit above or below, so that the firmware must refuse some of these images. In one of ten
+        cases the estimate of a slot is replaced, too, though the slot may be empty. The robot is drawn.
         """
         rng = self._rng
         robot = self._draw_robot()
-        robust = robot.robust
-        if robot.may_have_been_tested:
-            robot.b_hat = rng.choice([robot.b_hat, draw_b_hat(rng)])
-        names = [field.name for field in fields(RobustFilter)]
-        name = rng.choice(names)
-        limits = _limits_by_name(robot)[name]
-        # One unit more or less may be beyond the limit, and must be refused then.
-        value = rng.choice(limits) + rng.choice([-1, 0, 0, 1])
-        max_value = MAX_16_BITS if name in ("votes", "dispersion") else MAX_32_BITS
-        setattr(robust, name, clamp(value, 0, max_value))
+        self._draw_present_b_hat(robot)
+        numbers = self._image_numbers(robot)
+        limits_by_name = _limits_by_name(robot)
+        name = rng.choice(list(limits_by_name))
+        value = rng.choice(limits_by_name[name]) + rng.choice([-1, 0, 0, 1])
+        numbers[name] = self._clamp_to_image(name, value)
         if rng.random() < 0.1:
             # The estimate of an empty slot must be 0.
-            robot.estimates[rng.randrange(SLOTS)] = rng.choice([0, 1, SLOT_ESTIMATE_MAX])
-        return self._draw_image_words(robot)
+            slot = rng.randrange(SLOTS)
+            numbers[f"estimates_{slot}"] = rng.choice([0, 1, SLOT_ESTIMATE_MAX])
+        return numbers
+
+    def _draw_present_b_hat(self, robot: State) -> None:
+        """Draw another b_hat for a robot in half of the cases, if an earlier test may have changed it.
+
+        If the next test passes, the initial b_hat must come back.
+        """
+        if _may_have_been_tested(robot) and self._rng.random() < 0.5:
+            robot.accuracy = accuracy_of(draw_b_hat(self._rng))
 
     # --- Values ---
 
-    def _draw_robot(self) -> DrawnRobot:
+    def _draw_robot(self) -> State:
         """Draw a robot with any counts, any initial b_hat, which is also the present one, and any memory."""
         rng = self._rng
         t = max(draw_t(rng, self._setup.memory), 1)
@@ -293,28 +229,33 @@ class RobustScenarioWriter(ScenarioWriter):
         n = draw_n(rng, t, initial_b_hat)
         return self._draw_robot_after(t, n, initial_b_hat)
 
-    def _draw_robot_after(self, t: int, n: int, initial_b_hat: int) -> DrawnRobot:
+    def _draw_robot_after(self, t: int, n: int, initial_b_hat: int) -> State:
         """Draw a robot with these counts and this b_hat, and what its filter remembers, within its limits.
 
-        ``n`` of its ``t`` observations were black. The initial b_hat is also the present one. Drawn are which
-        slots for neighbours' estimates are filled, and with what; the number of votes so far, and where there
-        are any, their centre, their spread and whose turn to vote is next; and the batch of observations.
+        ``n`` of its ``t`` observations were black. The initial b_hat is also the present one.
         """
-        rng = self._rng
-        robust = RobustFilter(initial_b_hat=initial_b_hat)
-        robust.filled_slots = self._draw_filled_slots()
-        if robust.filled_slots:
-            robust.votes = rng.choice(_VOTE_COUNTS)
-        if robust.votes > 0:
-            robust.centre = self._draw_centre()
-            robust.spread = self._draw_spread()
-            # The next turn is slot 0, or the slot after a filled slot, often after the last.
-            filled_slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
-            turn_after_any = rng.choice(filled_slots) + 1
-            turn_after_last = filled_slots[-1] + 1
-            robust.turn = rng.choice([0, turn_after_any, turn_after_last])
-        self._fill_in_batch(robust, t, n)
-        return DrawnRobot(t, n, initial_b_hat, robust, self._draw_estimates(robust))
+        robot = State(self._setup.robot_id, accuracy_of(initial_b_hat), filter_left=1, t=t, n=n)
+        robot.robust.initial_b_hat = initial_b_hat
+        robot.robust.filled_slots = self._draw_filled_slots()
+        if robot.robust.filled_slots:
+            robot.robust.votes = self._rng.choice(_VOTE_COUNTS)
+        if robot.robust.votes > 0:
+            self._fill_in_votes(robot.robust)
+        self._fill_in_batch(robot)
+        robot.estimates = self._draw_estimates(robot.robust)
+        return robot
+
+    def _fill_in_votes(self, robust: RobustFilter) -> None:
+        """Draw the centre and the spread of the votes, and whose turn to vote is next.
+
+        That is slot 0, or the slot after a filled slot, often after the last.
+        """
+        robust.centre = self._draw_centre()
+        robust.spread = self._draw_spread()
+        filled_slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
+        turn_after_any = self._rng.choice(filled_slots) + 1
+        turn_after_last = filled_slots[-1] + 1
+        robust.turn = self._rng.choice([0, turn_after_any, turn_after_last])
 
     def _draw_filled_slots(self) -> int:
         """Draw which slots are filled, as a mask of a bit a slot: none, one, about five, any number, all.
@@ -324,49 +265,44 @@ class RobustScenarioWriter(ScenarioWriter):
         rng = self._rng
         count = rng.choice([0, 1, 4, 5, 5, 6, rng.randint(0, SLOTS), SLOTS - 1, SLOTS])
         slots = rng.sample(range(SLOTS), count)
-        # A shift by 32, or a search from bit 1 on, would miss a slot at an end of the mask. This is drawn in
-        # any case, as golden vectors are made of this sequence of draws.
-        slots_if_one = rng.choice([[0], [SLOTS - 1], slots])
         if count == 1:
-            slots = slots_if_one
+            # A shift by 32, or a search from bit 1 on, would miss a slot at an end of the mask.
+            slots = rng.choice([[0], [SLOTS - 1], slots])
         return sum(1 << slot for slot in slots)
 
-    def _fill_in_batch(self, robust: RobustFilter, t: int, n: int) -> None:
+    def _fill_in_batch(self, robot: State) -> None:
         """Draw the dispersion of a robot's observations, and the batch that its next run of the filter ends.
 
-        ``n`` of all its ``t`` observations were black. The batch is the last observations. Its number of
-        black ones is the expected, the smallest or the largest possible number, or makes the batch just an
-        outlier, or just not. ``robust`` gets the dispersion, and the counts with which the batch began. A
-        robot without observations stays as a new one.
+        The batch is the last of its observations. Drawn are how many these are, and how many of them were
+        black. From these follow the counts with which the batch began. If it began with the first
+        observation, no batch has ended yet, and the dispersion is that of a new robot.
         """
         rng = self._rng
+        t, n = robot.t, robot.n
         if t == 0:
             return
-        robust.dispersion = self._draw_dispersion()
         count_of_any_size = min(draw_number_of_any_size(rng, 1, 31), t)
-        batch_count = rng.choice([0, 1, count_of_any_size, rng.randint(0, t), t])
-        batch_black_count = self._draw_black_count_of_batch(robust.dispersion, batch_count, t, n)
-        robust.batch_t = t - batch_count
-        robust.batch_n = n - batch_black_count
-        if robust.batch_t == 0:
-            # No batch has ended yet.
-            robust.batch_n, robust.dispersion = 0, DISPERSION_MIN
+        batch_count = rng.choice([0, 1, count_of_any_size, rng.randint(0, t)])
+        if batch_count == t:
+            return
+        robot.robust.dispersion = self._draw_dispersion()
+        robot.robust.batch_t = t - batch_count
+        robot.robust.batch_n = n - self._draw_black_count_of_batch(robot, batch_count)
 
-    def _draw_black_count_of_batch(self, dispersion: int, batch_count: int, t: int, n: int) -> int:
-        """Draw how many of the last ``batch_count`` of t observations were black, if n of all t were.
+    def _draw_black_count_of_batch(self, robot: State, batch_count: int) -> int:
+        """Draw how many of the robot's last ``batch_count`` observations were black.
 
         It is the smallest or the largest possible number, or lies near the expected one, or so far from it
-        that the batch is just an outlier, or just not. ``dispersion`` is in units of 2**-8.
+        that the batch is just an outlier, or just not.
         """
         rng = self._rng
-        white_count = t - n
+        white_count = robot.t - robot.n
         smallest_black_count = max(batch_count - white_count, 0)
-        largest_black_count = min(batch_count, n)
-        expected_black_count = batch_count * n // t
-        largest_deviation = _largest_usual_deviation(dispersion, batch_count, t, n)
-        deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), largest_deviation])
-        direction = rng.choice([-1, 1])
-        deviating_black_count = expected_black_count + direction * deviation + rng.randint(-1, 1)
+        largest_black_count = min(batch_count, robot.n)
+        expected_black_count = batch_count * robot.n // robot.t
+        small_deviation = draw_number_of_any_size(rng, 0, 8)
+        deviation = rng.choice([0, small_deviation, _largest_usual_deviation(robot, batch_count)])
+        deviating_black_count = expected_black_count + rng.choice([-1, 1]) * deviation + rng.randint(-1, 1)
         black_count = rng.choice([deviating_black_count, smallest_black_count, largest_black_count])
         return clamp(black_count, smallest_black_count, largest_black_count)
 
@@ -409,56 +345,56 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_estimates(self, robust: RobustFilter) -> list[int]:
         """Draw the estimates of all slots, in units of 2**-16: 0 for an empty slot.
 
-        About half of the filled slots share one estimate, which is next to the centre of the votes or at the
-        distance of the spread from it. The others have estimates as of messages.
+        About half of the filled slots share one estimate, which is where a vote meets an edge, or a unit
+        beside that. The others have estimates as of messages.
         """
         rng = self._rng
-        position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread  # in units of 2**-30
-        at_spread = clamp(position // _SLOT_UNIT + rng.randint(-1, 1), 0, SLOT_ESTIMATE_MAX)
+        shared_position = self._draw_vote_at_edge(robust) // _SLOT_UNIT + rng.randint(-1, 1)
+        shared_estimate = clamp(shared_position, 0, SLOT_ESTIMATE_MAX)
         estimates = [0] * SLOTS
         for slot in range(SLOTS):
             if robust.is_filled(slot):
-                as_of_message = slot_estimate(min(self._draw_x_hat(), ONE))
-                estimates[slot] = rng.choice([at_spread, as_of_message])
+                estimate_of_message = slot_estimate(min(self._draw_x_hat(), ONE))
+                estimates[slot] = rng.choice([shared_estimate, estimate_of_message])
         return estimates
 
     def _draw_own_x_hat(self, robust: RobustFilter) -> int:
         """Draw an x_hat of the robot itself, in units of 2**-23.
 
-        In half of the cases it is at the centre of the votes, or at the distance of the spread from it.
+        In half of the cases it is where a vote meets an edge, or a unit beside that, else as in a message.
         """
         rng = self._rng
-        position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread  # in units of 2**-30
-        at_spread = clamp(q23_from_q30(position) + rng.randint(-1, 1), 0, ONE)
-        return rng.choice([at_spread, min(self._draw_x_hat(), ONE)])
+        position = q23_from_q30(self._draw_vote_at_edge(robust)) + rng.randint(-1, 1)
+        x_hat_of_message = min(self._draw_x_hat(), ONE)  # Some x_hat of messages are too large.
+        return rng.choice([clamp(position, 0, ONE), x_hat_of_message])
+
+    def _draw_vote_at_edge(self, robust: RobustFilter) -> int:
+        """Draw where a vote meets an edge: at the centre of the votes, or the spread above or below it.
+
+        The result is in units of 2**-30, and may be out of 0 .. 1.
+        """
+        return robust.centre + self._rng.choice([-1, 0, 1]) * robust.spread
 
     def _draw_sender(self) -> int:
-        """Draw the id of a sender, in one of four cases one that shares its slot with another."""
+        """Draw the id of a sender, in one of four cases one of those that share the first ten slots."""
         rng = self._rng
-        # Ids that are SLOTS apart share a slot. Here they are those of the first ten slots.
-        of_same_slot = rng.randrange(10) + SLOTS * rng.randrange((MAX_ID + 1) // SLOTS)
-        return of_same_slot if rng.random() < 0.25 else super()._draw_sender()
+        # Ids that are SLOTS apart share a slot.
+        id_of_first_slots = rng.randrange(10) + SLOTS * rng.randrange((MAX_ID + 1) // SLOTS)
+        return id_of_first_slots if rng.random() < 0.25 else super()._draw_sender()
 
     # --- Estimates for a test ---
 
-    def _mirror_of(self, robot: DrawnRobot) -> MirrorRobot:
-        """Return a mirror with what the filter's test of the drawn robot needs: t, n, and the same memory."""
-        mirror = MirrorRobot(self._setup.config(), self._setup.robot_id, robot.b_hat / Q32_ONE)
-        mirror.s.t, mirror.s.n, mirror.s.robust = robot.t, robot.n, robot.robust
-        return mirror
-
-    def _draw_estimates_at_threshold(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
+    def _draw_estimates_at_threshold(self, robot: State, count: int) -> tuple[int, ...] | None:
         """Draw estimates by which the robot's test just rejects, or just does not; None if there are none."""
-        # How far the estimates are from their middle at most, in units of 2**-16: a number of 1 to 15 bits.
+        # The estimates are at most so far from their middle.
         width = draw_number_of_any_size(self._rng, 1, 15)
-        drawn_slots = draw_slots_at_threshold(self._mirror_of(robot), count, width, self._rng)
+        drawn_slots = draw_slots_at_threshold(robot, count, width, self._rng)
         if drawn_slots is None:
             return None
-        accepted_slots, rejected_slots = drawn_slots
-        chosen_slots = self._rng.choice([accepted_slots, rejected_slots])
+        chosen_slots = self._rng.choice(drawn_slots)
         return chosen_slots.estimates
 
-    def _draw_supporters_and_others(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
+    def _draw_supporters_and_others(self, robot: State, count: int) -> tuple[int, ...] | None:
         """Draw estimates by which the robot's test rejects, though about two in five support the robot.
 
         The others agree on an estimate that contradicts its observations. There are at least 11 estimates,
@@ -467,10 +403,10 @@ class RobustScenarioWriter(ScenarioWriter):
         """
         count = max(count, 11)
         supporter_count = 2 * count // 5 + self._rng.randint(0, 1)
-        slots = slots_with_supporters(self._mirror_of(robot), count, supporter_count)
+        slots = slots_with_supporters(robot, count, supporter_count)
         return None if slots is None else slots.estimates
 
-    def _draw_supporters_and_tie(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
+    def _draw_supporters_and_tie(self, robot: State, count: int) -> tuple[int, ...] | None:
         """Draw estimates: two in five support the robot, and one more almost does.
 
         The others agree on another estimate. There are at least 12 estimates, also for a smaller ``count``,
@@ -489,10 +425,24 @@ class RobustScenarioWriter(ScenarioWriter):
         b_hat = _find_b_hat_of_tie(robot, q24_from_q16(tied), centre)
         if b_hat is None:
             return None
-        robot.robust.initial_b_hat = b_hat
+        _replace_b_hat(robot, b_hat)
         return estimates
 
-    def _draw_skewed_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
+    def _draw_opposite_estimates(self, robot: State, count: int) -> tuple[int, ...]:
+        """Draw as many estimates of 0 as of the largest, so that their spread is above the largest one.
+
+        There are at least six, and one less than ``count`` if that is odd. The robot gets a b_hat, and
+        observations of one colour, by which its test rejects, but would not if the spread were not limited.
+        """
+        rng = self._rng
+        # The centre, 1/2, predicts half black, and the share of black is 1/2 off. So the test rejects if
+        # 1/4 > 12 g**2 spread**2 for g = 2 b_hat - 1. The limited spread is 1/4, and without limit it is 1/2.
+        distance_from_half = round(rng.uniform(0.15, 0.28) * Q32_ONE)  # g is twice that
+        _replace_b_hat(robot, Q32_HALF + rng.choice([-1, 1]) * distance_from_half)
+        _replace_observations(robot, rng.choice([0, robot.t]))
+        return (0, SLOT_ESTIMATE_MAX) * max(count // 2, 3)
+
+    def _draw_skewed_estimates(self, robot: State, count: int) -> tuple[int, ...]:
         """Draw estimates on one side of a point, at small distances from it as often as at large ones.
 
         So their Huber centre is far from their median, from which its computation starts. The point is any
@@ -506,7 +456,7 @@ class RobustScenarioWriter(ScenarioWriter):
         distances = [draw_number_of_any_size(rng, 0, max_bits) for _ in range(count)]
         return tuple(clamp(point + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
 
-    def _draw_slowly_centred_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
+    def _draw_slowly_centred_estimates(self, robot: State, count: int) -> tuple[int, ...]:
         """Draw 32 estimates whose Huber centre three steps do not reach, so that a fourth would show.
 
         There are 32 for any ``robot`` and ``count``.
@@ -519,8 +469,58 @@ class RobustScenarioWriter(ScenarioWriter):
         return tuple(clamp(start + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
 
 
-def _limits_by_name(robot: DrawnRobot) -> dict[str, tuple[int, ...]]:
-    """Return the limits of each value that a robot's robust filter remembers, by the value's name.
+def _may_have_been_tested(robot: State) -> bool:
+    """Return whether the filter may have tested the robot, so that b_hat need not be the initial one.
+
+    It may have if there are enough estimates for a test, and if it has run: then a batch has ended.
+    """
+    filled_slots = robot.robust.filled_slots.bit_count()  # a mask with a bit for each slot
+    has_ended_batch = robot.robust.batch_t > 0
+    return filled_slots >= TESTED_ESTIMATES_MIN and has_ended_batch
+
+
+def _replace_b_hat(robot: State, b_hat: int) -> None:
+    """Give the robot another b_hat, which is both the initial and the present one."""
+    robot.accuracy = accuracy_of(b_hat)
+    robot.robust.initial_b_hat = b_hat
+
+
+def _replace_observations(robot: State, n: int) -> None:
+    """Make ``n`` of the robot's observations black, all in earlier batches.
+
+    The batch that its next run of the filter ends is empty, and does not change the dispersion.
+    """
+    robot.n = n
+    robot.robust.batch_t, robot.robust.batch_n = robot.t, n
+
+
+def _fill_slots(robot: State, estimates: tuple[int, ...], rng: Random) -> None:
+    """Put these estimates into slots of the robot drawn at random, and empty all other slots.
+
+    The turn to vote becomes one that is possible with these slots.
+    """
+    slots = rng.sample(range(SLOTS), len(estimates))
+    robot.estimates = [0] * SLOTS
+    robot.robust.filled_slots = 0
+    for slot, estimate in zip(slots, estimates, strict=True):
+        robot.estimates[slot] = estimate
+        robot.robust.filled_slots |= 1 << slot
+    robot.robust.turn = 0
+    if robot.robust.votes > 0:
+        # A turn that is not 0 is the slot after a filled slot.
+        robot.robust.turn = rng.choice([0, slots[0] + 1])
+
+
+def _memory_numbers(robot: State) -> dict[str, int]:
+    """Return what a robot's robust filter remembers, as the numbers of an image by name."""
+    numbers = {f"robust_{name}": value for name, value in asdict(robot.robust).items()}
+    for slot, estimate in enumerate(robot.estimates):
+        numbers[f"estimates_{slot}"] = estimate
+    return numbers
+
+
+def _limits_by_name(robot: State) -> dict[str, tuple[int, ...]]:
+    """Return the limits of each value that a robot's robust filter remembers, by its name in an image.
 
     Values that are legal only in connection with others have the limits that these allow. Among the limits
     there may be the present value.
@@ -532,53 +532,33 @@ def _limits_by_name(robot: DrawnRobot) -> dict[str, tuple[int, ...]]:
     largest_batch_t = robust.batch_n + white_count
     smallest_batch_n = max(robust.batch_t - white_count, 0)
     return {
-        "centre": (0, _CENTRE_ONE, CENTRE_START),
-        "spread": (SPREAD_MIN, SPREAD_MAX),
-        "initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robot.b_hat),
-        "filled_slots": (robust.filled_slots, slots_without_first),
-        "batch_t": (0, robust.batch_n, largest_batch_t),
-        "batch_n": (0, robot.n, robust.batch_t, smallest_batch_n),
-        "votes": (0, VOTES_MAX),
-        "dispersion": (DISPERSION_MIN, DISPERSION_MAX),
-        "turn": (0, SLOTS, robust.turn),
+        "robust_centre": (0, _CENTRE_ONE, CENTRE_START),
+        "robust_spread": (SPREAD_MIN, SPREAD_MAX),
+        "robust_initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robot.accuracy.b_hat),
+        "robust_filled_slots": (robust.filled_slots, slots_without_first),
+        "robust_batch_t": (0, robust.batch_n, largest_batch_t),
+        "robust_batch_n": (0, robot.n, robust.batch_t, smallest_batch_n),
+        "robust_votes": (0, VOTES_MAX),
+        "robust_dispersion": (DISPERSION_MIN, DISPERSION_MAX),
+        "robust_turn": (0, SLOTS, robust.turn),
     }
 
 
-def _pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[int, int]:
-    """Return words 7 to 30 of an image, by index, for a robot whose robust filter remembers this.
-
-    ``estimates`` are those of all 32 slots, in units of 2**-16. Members may be out of their ranges, as far as
-    their bits of the image allow: votes, dispersion and estimates have 16 bits each, the others 32.
-    """
-    words = [
-        robust.centre,
-        robust.spread,
-        robust.initial_b_hat,
-        robust.filled_slots,
-        robust.batch_t,
-        robust.batch_n,
-        pack_pair(robust.votes, robust.dispersion),
-        robust.turn,
-    ]
-    slot_words = [pack_pair(estimates[slot], estimates[slot + 1]) for slot in range(0, SLOTS, 2)]
-    return dict(enumerate(words, _FIRST_FILTER_WORD)) | dict(enumerate(slot_words, _FIRST_SLOTS_WORD))
-
-
-def _largest_usual_deviation(dispersion: int, batch_count: int, t: int, n: int) -> int:
+def _largest_usual_deviation(robot: State, batch_count: int) -> int:
     """Return the largest deviation from the expected number of black ones with which a batch is no outlier.
 
-    ``batch_count`` observations are in the batch, and ``n`` of all ``t`` observations are black. The
-    dispersion is in units of 2**-8.
+    ``batch_count`` of the robot's observations are in the batch.
     """
     # A batch is an outlier if the square of its deviation is more than 12 times the dispersion times the
     # variance, which is count * n / t * (1 - n / t).
+    t, n = robot.t, robot.n
     variance_times_t_squared = batch_count * n * (t - n)
-    limit_in_units = REJECTED_SIGMAS_SQUARED * dispersion * variance_times_t_squared // (t * t)
+    limit_in_units = REJECTED_SIGMAS_SQUARED * robot.robust.dispersion * variance_times_t_squared // (t * t)
     square_limit = limit_in_units >> 8  # from the units of the dispersion, 2**-8
     return isqrt(square_limit)
 
 
-def _find_b_hat_of_tie(robot: DrawnRobot, estimate: int, centre: int) -> int | None:
+def _find_b_hat_of_tie(robot: State, estimate: int, centre: int) -> int | None:
     """Return an initial b_hat by which an estimate neither supports the robot nor contradicts it, or None.
 
     By b_hat an estimate predicts a share of black observations. The estimate supports the robot if this share
@@ -594,13 +574,22 @@ def _find_b_hat_of_tie(robot: DrawnRobot, estimate: int, centre: int) -> int | N
     b_hat_of_point = reestimate(robot.t, robot.n, q32_from_q24(opposite_point))
     if b_hat_of_point is None:
         return None
-    share = q32_quotient(robot.n, robot.t)
     # The prediction is rounded, so that a b_hat a few units beside may be the one.
     first_b_hat = max(b_hat_of_point - 8, B_HAT_MIN)
     end_of_b_hats = min(b_hat_of_point + 8, B_HAT_MAX)
     for b_hat in range(first_b_hat, end_of_b_hats):
-        prediction = probability_of_black(b_hat, q32_from_q24(estimate))
-        prediction_of_centre = probability_of_black(b_hat, q32_from_q24(centre))
-        if abs(prediction - share) == abs(prediction - prediction_of_centre):
+        if _is_tie(robot, b_hat, estimate, centre):
             return b_hat
     return None
+
+
+def _is_tie(robot: State, b_hat: int, estimate: int, centre: int) -> bool:
+    """Return whether the share of black that an estimate predicts by b_hat is as far from two others.
+
+    These are the share that the robot has observed, and the share that the centre of all estimates predicts.
+    ``estimate`` and ``centre`` are in units of 2**-24, and b_hat is in units of 2**-32.
+    """
+    observed_share = q32_quotient(robot.n, robot.t)
+    prediction = probability_of_black(b_hat, q32_from_q24(estimate))
+    prediction_of_centre = probability_of_black(b_hat, q32_from_q24(centre))
+    return abs(prediction - observed_share) == abs(prediction - prediction_of_centre)

@@ -6,34 +6,40 @@ A line is a list of items separated by commas; an item is a word and its whole n
 
 ``table`` gives omega and q; without it the robot has no table. ``robot`` gives filter, filter_period, memory,
 id and b_hat. All that follows are calls (see ``Call``). Numbers are the firmware's raw integers and may be as
-wrong as their C types allow.
+wrong as their C types allow. Only ``restore`` names its numbers: ``restore:t=5:n=3``.
 """
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, replace
 from typing import cast
 
-from mcp_asdf.image_format import image_word_count, unpack_image
+from mcp_asdf.image_format import image_size
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status
-from mcp_asdf.table import Table, checksum
+from mcp_asdf.table import Table
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.crosscheck.image_numbers import (
+    MAX_32_BITS,
+    largest_number_at,
+    places_of_numbers,
+    replace_numbers,
+)
 from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
 
-_MAX_8_BITS, _MAX_32_BITS = 2**8 - 1, 2**32 - 1
-"""Largest number of 8 and of 32 bits."""
-_LARGEST_IMAGE_WORDS = max(image_word_count(robot_filter) for robot_filter in Filter)
+_MAX_8_BITS = 2**8 - 1
+"""Largest number of 8 bits."""
+_LARGEST_IMAGE_SIZE = max(image_size(robot_filter) for robot_filter in Filter)
+"""Bytes of the largest image."""
 _LARGEST_NUMBERS_OF_ITEM = {
-    "robot": (_MAX_8_BITS, _MAX_32_BITS, _MAX_32_BITS, _MAX_8_BITS, _MAX_32_BITS),
-    "observe": (_MAX_32_BITS,),
-    "step": (_MAX_32_BITS,),
+    "robot": (_MAX_8_BITS, MAX_32_BITS, MAX_32_BITS, _MAX_8_BITS, MAX_32_BITS),
+    "observe": (MAX_32_BITS,),
+    "step": (MAX_32_BITS,),
     "settle": (),
-    "receive": (_MAX_8_BITS, _MAX_32_BITS, _MAX_32_BITS),
-    "damage": (4 * _LARGEST_IMAGE_WORDS - 1, _MAX_8_BITS),
+    "receive": (_MAX_8_BITS, MAX_32_BITS, MAX_32_BITS),
+    "damage": (_LARGEST_IMAGE_SIZE - 1, _MAX_8_BITS),
 }
 """The largest value of every number of an item, by the item's name: ``robot``, which makes the robot, or that
-of a call. ``restore`` is not here, as it takes any number of pairs."""
+of a call. ``restore`` is not here, as it takes any number of numbers with names."""
 _CALL_NAMES = ("restore", "observe", "step", "settle", "receive", "damage")
 """Names of all calls, in the order in which an error lists them."""
 _MAX_DIGITS = 20
@@ -55,24 +61,24 @@ class Call:
             observe, step: the observation.
             settle: none.
             receive: sender, x_hat, alpha.
-            restore: The robot is saved and replaced by the robot restored from its image, in which words were
-                replaced and the checksum made right again. If that is refused it stays as it was. Numbers are
-                pairs of an index, from 1 to the index of the last word before the checksum, and a value.
+            restore: none; the robot is saved and replaced by the robot restored from its image, in which
+                ``new_numbers`` were put and the checksum made right again. If that is refused it stays as
+                it was.
             damage: As restore, but the byte at an index is changed by exclusive or with a mask and the
                 checksum left as it is.
+        new_numbers: Pairs of a name and a value, of numbers that a ``restore`` replaces in the image. Other
+            calls have none.
     """
 
     name: str
     numbers: tuple[int, ...] = ()
+    new_numbers: tuple[tuple[str, int], ...] = ()
 
     def __str__(self) -> str:
-        """Return the item of a line, such as ``receive:3:4194304:257``."""
-        return ":".join([self.name, *map(str, self.numbers)])
-
-    @property
-    def pairs(self) -> list[tuple[int, int]]:
-        """The pairs of index and value of a ``restore``."""
-        return _group_in_pairs(self.numbers)
+        """Return the item of a line, such as ``receive:3:4194304:257`` or ``restore:t=5:n=3``."""
+        texts = [str(number) for number in self.numbers]
+        texts += [f"{number_name}={value}" for number_name, value in self.new_numbers]
+        return ":".join([self.name, *texts])
 
 
 @dataclass(frozen=True)
@@ -139,6 +145,10 @@ class Scenario:
         """Return a scenario of the same robot with other calls."""
         return replace(self, calls=calls)
 
+    def first_calls(self, count: int) -> Scenario:
+        """Return a scenario of the same robot with the first ``count`` calls, or all if there are fewer."""
+        return replace(self, calls=self.calls[:count])
+
 
 @dataclass(frozen=True)
 class CallResult:
@@ -155,10 +165,61 @@ class CallResult:
     image: bytes
 
 
-def _group_in_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Return numbers in pairs: the first with the second, and so on. There must be an even number of them."""
-    first_numbers, second_numbers = numbers[::2], numbers[1::2]
-    return list(zip(first_numbers, second_numbers, strict=True))
+@dataclass(frozen=True)
+class CallRecord:
+    """A call that was made on a robot, with the robot before and after it.
+
+    Attributes:
+        setup: Setup of the robot.
+        call: The call.
+        before: Result of the call before; for the first call, of making the robot.
+        after: Result of this call.
+    """
+
+    setup: Setup
+    call: Call
+    before: CallResult
+    after: CallResult
+
+    @property
+    def old_state(self) -> State:
+        """State of the robot before the call."""
+        return self.before.state
+
+    @property
+    def new_state(self) -> State:
+        """State of the robot after the call."""
+        return self.after.state
+
+    @property
+    def is_observation(self) -> bool:
+        """Whether the call has made the robot observe a tile."""
+        return self.call.name in ("observe", "step") and self._is_accepted
+
+    @property
+    def is_end_of_round(self) -> bool:
+        """Whether the call has ended a round."""
+        return self.call.name in ("settle", "step") and self._is_accepted
+
+    @property
+    def _is_accepted(self) -> bool:
+        """Whether the firmware has accepted the call: names of refusals begin with ERR."""
+        return not self.after.outcome.startswith("ERR")
+
+    @property
+    def had_to_run_filter(self) -> bool:
+        """Whether the call, which must have ended a round, had to run the robot's filter, if it has one.
+
+        It had to in the last round of a filter period, if the robot has observed anything.
+        """
+        is_last_round_of_period = self.old_state["filter_left"] == 1
+        has_observations = self.new_state["t"] > 0
+        return is_last_round_of_period and has_observations
+
+    @property
+    def is_updated(self) -> bool:
+        """Whether the call has re-estimated b_hat."""
+        return self.after.outcome == "UPDATED"
 
 
 # --- Scenarios from text ---
@@ -180,8 +241,7 @@ def parse_scenario(line: str) -> Scenario:
     robot_item, *call_items = items
     # The numbers of the item are in the order of the attributes of Setup.
     setup = Setup(table, *_parse_numbers(robot_item))
-    image_words = image_word_count(setup.filter)
-    calls = [_parse_call(call_item, image_words) for call_item in call_items]
+    calls = [_parse_call(call_item, setup.filter) for call_item in call_items]
     return Scenario(setup, tuple(calls))
 
 
@@ -199,41 +259,44 @@ def _parse_table(item: str) -> TableChoice:
     return TableChoice(str(parse_omega(omega)), check_q(_parse_integer(q, item)))
 
 
-def _parse_call(item: str, image_words: int) -> Call:
-    """Read the item of a call, such as ``observe:1``: a name, and numbers after colons.
+def _parse_call(item: str, filter_number: int) -> Call:
+    """Read the item of a call, such as ``observe:1``, of a robot with this filter.
 
-    An image of the robot has ``image_words`` words of 4 bytes, and a call must not name one beyond. The names
-    are observe, step, settle, receive, damage and restore; `Call` lists their numbers. Raises UsageError for
-    another name, too few or too many numbers, a number that is out of range, or a text that is no number.
+    The names are observe, step, settle, receive, damage and restore; `Call` lists their numbers. Raises
+    UsageError for another name, for too few or too many numbers, and for a number that is out of range or
+    that the image of such a robot does not have.
     """
-    name, *texts = item.split(":")
-    if name == "restore":
-        numbers = tuple(_parse_integer(text, item) for text in texts)
-        if not _are_replacements_legal(numbers, image_words):
-            raise UsageError(f"{item} needs pairs of an index, 1 to {image_words - 2}, and a 32-bit word")
-        return Call(name, numbers)
+    name = _first_word_of(item)
     if name not in _CALL_NAMES:
         raise UsageError(f"{item!r} is no call; there are {', '.join(_CALL_NAMES)}")
+    if name == "restore":
+        return Call(name, new_numbers=_parse_new_numbers(item, filter_number))
     numbers = _parse_numbers(item)
-    image_bytes = 4 * image_words
-    if name == "damage" and numbers[0] >= image_bytes:
-        raise UsageError(f"{item}: {numbers[0]} is too large; the limit there is {image_bytes - 1}")
+    if name == "damage":
+        _check_limit(numbers[0], image_size(filter_number) - 1, item)
     return Call(name, numbers)
 
 
-def _are_replacements_legal(numbers: tuple[int, ...], image_words: int) -> bool:
-    """Return whether numbers of a ``restore`` are pairs of an index into an image and a word of 32 bits.
+def _parse_new_numbers(item: str, filter_number: int) -> tuple[tuple[str, int], ...]:
+    """Read what a ``restore`` replaces in an image: names and values, as in ``restore:t=5:n=3``.
 
-    There may be any number of pairs. Word 0 of the image marks the version, and the last of the
-    ``image_words`` words is the checksum: these two must not be replaced.
+    Raises UsageError for a name that the image of a robot with this filter does not have, and for a value
+    that is too large there.
     """
-    if len(numbers) % 2 != 0:
-        return False
-    last_index = image_words - 2  # that of the word before the checksum
-    for index, word in _group_in_pairs(numbers):
-        if not 1 <= index <= last_index or word > _MAX_32_BITS:
-            return False
-    return True
+    _, *assignments = item.split(":")
+    places = places_of_numbers(filter_number)
+    new_numbers = []
+    for assignment in assignments:
+        number_name, _, text = assignment.partition("=")
+        if number_name not in places:
+            raise UsageError(
+                f"{item}: the image has no {number_name!r}; it has {', '.join(places)}, "
+                "for example restore:t=5"
+            )
+        value = _parse_integer(text, item)
+        _check_limit(value, largest_number_at(places[number_name]), item)
+        new_numbers.append((number_name, value))
+    return tuple(new_numbers)
 
 
 def _parse_numbers(item: str) -> tuple[int, ...]:
@@ -247,9 +310,14 @@ def _parse_numbers(item: str) -> tuple[int, ...]:
     if len(numbers) != len(max_numbers):
         raise UsageError(f"{item} has {len(numbers)} numbers; {name} takes {len(max_numbers)}")
     for number, max_number in zip(numbers, max_numbers, strict=True):
-        if number > max_number:
-            raise UsageError(f"{item}: {number} is too large; the limit there is {max_number}")
+        _check_limit(number, max_number, item)
     return numbers
+
+
+def _check_limit(number: int, max_number: int, item: str) -> None:
+    """Raise UsageError, which names the item, if a number in it is above its limit."""
+    if number > max_number:
+        raise UsageError(f"{item}: {number} is too large; the limit there is {max_number}")
 
 
 def _parse_integer(text: str, item: str) -> int:
@@ -266,23 +334,18 @@ def _parse_integer(text: str, item: str) -> int:
 # --- Calls ---
 
 
-def edit_image(image: bytes, call: Call) -> bytes:
-    """Return a copy of a saved image with the changes that a ``restore`` or ``damage`` call makes.
+def edit_image(image: bytes, call: Call, filter_number: int) -> bytes:
+    """Return a copy of a robot's image with the changes that a ``restore`` or ``damage`` call makes.
 
-    ``restore`` replaces words and computes the checksum anew; ``damage`` flips bits of one byte and leaves
-    the checksum as it is.
+    ``restore`` replaces numbers and computes the checksum anew; ``damage`` flips bits of one byte and leaves
+    the checksum as it is. ``filter_number`` is that of the robot, a number of `Filter`.
     """
-    if call.name == "damage":
-        byte_index, mask = call.numbers
-        damaged_image = bytearray(image)
-        damaged_image[byte_index] ^= mask
-        return bytes(damaged_image)
-    # Otherwise the call is a restore.
-    words = unpack_image(image)
-    for index, value in call.pairs:
-        words[index] = value
-    words[-1] = checksum(words[:-1])
-    return struct.pack(f"<{len(words)}I", *words)
+    if call.name == "restore":
+        return replace_numbers(image, filter_number, dict(call.new_numbers))
+    byte_index, mask = call.numbers
+    damaged_image = bytearray(image)
+    damaged_image[byte_index] ^= mask
+    return bytes(damaged_image)
 
 
 def make_call(robot: FixedPointRobot, call: Call) -> Status:

@@ -52,26 +52,38 @@ class Workload:
         Its last closed round has the sums of the open one, which has a message of each of m senders. Its
         x_hat is the mean of the messages if it agrees with them, and 1.0 if it does not or has none.
         """
-        # With a memory of t the next observation fills it, so that t and n are halved.
-        memory = self.t if self.halves else DEFAULT_MEMORY
-        config = Config(table_of_size(self.q), self.filter, filter_period=1, memory=memory)
-        robot = firmware(config, OWN_ID, self.b_hat / 2**32)
+        robot = firmware(self._config(), OWN_ID, self.b_hat / 2**32)
         state = robot.s
         state.t = self.t - 1  # before the observation that is to come
         state.n = min(self.n, self.t - 1)
-        for sender in range(self.m):
-            # All messages differ: alpha in the lowest bits of its mantissa, which begins at bit 8, and x_hat
-            # by 1000 units of 2**-23. ``receive_raw`` adds each to the sums of the open round.
-            alpha = self.alpha ^ (sender << 8)
-            x_hat = self._smallest_x_hat + 1000 * sender
-            robot.receive_raw(sender, x_hat, alpha)
+        state.alpha = self.alpha
+        self._receive_messages(robot)
         sums = state.open
+        state.closed = Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
         state.x_hat = ONE
         if self.agrees and sums.count > 0:
             state.x_hat = sums.x // sums.count  # the mean of the messages
-        state.alpha = self.alpha
-        state.closed = Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
         return robot
+
+    def _config(self) -> Config:
+        """Return the settings of the robot, whose filter runs in every round.
+
+        If the next observation is to halve t and n, the memory is t, which that observation fills. Otherwise
+        it is the default one.
+        """
+        memory = self.t if self.halves else DEFAULT_MEMORY
+        return Config(table_of_size(self.q), self.filter, filter_period=1, memory=memory)
+
+    def _receive_messages(self, robot: MirrorRobot) -> None:
+        """Let the robot receive the m messages of its open round, from senders 0 to m - 1; no two are alike.
+
+        The robot adds them to the sums of the round.
+        """
+        for sender in range(self.m):
+            # Alphas differ in the lowest bits of their mantissa, which begins at bit 8.
+            alpha = self.alpha ^ (sender << 8)
+            x_hat = self._smallest_x_hat + 1000 * sender
+            robot.receive_raw(sender, x_hat, alpha)
 
     @property
     def _smallest_x_hat(self) -> int:

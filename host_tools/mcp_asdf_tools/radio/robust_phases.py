@@ -229,7 +229,7 @@ def test_with_supporters(bench: Bench) -> None:
     # Four of ten do not protect a robot, three of seven and five of twelve do.
     for count, supporter_count in ((7, 3), (10, 4), (12, 5)):
         bench.activity = f"observations that {supporter_count} of {count} estimates support"
-        craft_slots = partial(slots_with_supporters, bench.model_robot, count, supporter_count)
+        craft_slots = partial(slots_with_supporters, bench.model_robot.s, count, supporter_count)
         slots = _observe_until_crafted(bench, craft_slots)
         if slots is not None:
             activity = f"a test in which {supporter_count} of {count} estimates support the robot"
@@ -524,7 +524,7 @@ def _draw_both_sides(bench: Bench, count: int, width: int) -> tuple[SlotsAtTest,
     accepted_slots: SlotsAtTest | None = None
     rejected_slots: SlotsAtTest | None = None
     for _ in range(_MAX_DRAWS_BY_WIDTH[width]):
-        drawn_slots = draw_slots_at_threshold(bench.model_robot, count, width, bench.rng)
+        drawn_slots = draw_slots_at_threshold(bench.model_robot.s, count, width, bench.rng)
         if drawn_slots is None:
             continue
         accepted, rejected = drawn_slots

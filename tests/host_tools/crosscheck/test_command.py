@@ -139,20 +139,20 @@ def test_the_json_report_has_errors_below_a_thousandth_for_every_quantity(
 
 @pytest.fixture(scope="module")
 def check_of_500_calls() -> CommandResult:
-    """The result of a check of 500 calls with seed 4, which finds no difference."""
-    return run_crosscheck_command("--steps", "500", "--seed", "4")
+    """The result of a check of 500 calls with seed 3, which finds no difference."""
+    return run_crosscheck_command("--steps", "500", "--seed", "3")
 
 
 def test_a_check_without_a_difference_ends_with_the_verdict_and_how_to_repeat_it(
     check_of_500_calls: CommandResult,
 ) -> None:
-    """The check is ``mcp-asdf crosscheck --steps 500 --seed 4``; native is the robot in C."""
+    """The check is ``mcp-asdf crosscheck --steps 500 --seed 3``; native is the robot in C."""
     assert check_of_500_calls.exit_code == 0
     assert check_of_500_calls.errors == ""
     *_, calls_line, verdict, repeat = check_of_500_calls.output.splitlines()
-    assert re.fullmatch(r"calls made and compared: 500 in \d+ scenarios, seed 4", calls_line)
+    assert re.fullmatch(r"calls made and compared: 500 in \d+ scenarios, seed 3", calls_line)
     assert verdict == "native and mirror agree in every bit"
-    assert repeat == "again: mcp-asdf crosscheck --steps 500 --seed 4"
+    assert repeat == "again: mcp-asdf crosscheck --steps 500 --seed 3"
 
 
 def test_a_check_prints_the_bytes_that_tables_and_saved_robots_take(
@@ -287,13 +287,13 @@ def parse_failing_scenario(output: str) -> Scenario:
 
 
 def test_a_failure_is_shown_by_the_fewest_calls_that_lead_to_it(failed_check: CommandResult) -> None:
-    """A robot that rounds wrongly as it halves its counts needs three of the thousands of calls made.
+    """A robot that rounds wrongly as it halves its counts needs two of the thousands of calls made.
 
     They are in the last line of the output, which has the command that makes them again.
     """
     scenario = parse_failing_scenario(failed_check.output)
     assert failed_check.exit_code == 1
-    assert [call.name for call in scenario.calls] == ["restore", "observe", "observe"]
+    assert [call.name for call in scenario.calls] == ["restore", "observe"]
 
 
 def test_the_command_in_the_last_line_of_a_failed_check_prints_the_failure_again(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable
 
 import pytest
@@ -94,14 +93,13 @@ def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
 
 
 def test_differences_of_two_robots_are_listed_by_field_result_and_word_of_the_saved_robot() -> None:
-    """The second robot is restored from its saved words. Two of the words are changed.
+    """The second robot is restored from its saved words, in which two numbers are changed.
 
-    Its count t of observations, word 2, becomes 5. Bit 16 of word 29 says that b_hat was updated after x_hat.
-    Each line has the first robot's value and the second's. Names of results, such as t(), have brackets.
+    Its count t of observations becomes 5, and ``updated`` says that b_hat was updated after x_hat. Each line
+    has the first robot's value and the second's. Names of results, such as t(), have brackets.
     """
-    bit_16 = 0x10000
-    scenario = parse_scenario(f"{ROBOT_WITHOUT_FILTER},restore:2:5:29:{bit_16}")
-    (restore,) = scenario.calls  # it has the index and the new value of each word
+    scenario = parse_scenario(f"{ROBOT_WITHOUT_FILTER},restore:t=5:updated=1")
+    (restore,) = scenario.calls
     first = RobotUnderTest(MirrorRobot, scenario.setup)
     second = RobotUnderTest(MirrorRobot, scenario.setup)
     second.apply(restore)
@@ -117,37 +115,33 @@ def test_differences_of_two_robots_are_listed_by_field_result_and_word_of_the_sa
     assert checksum_line.startswith("save(), word 30: ")
 
 
-def scenario_of_restores(words_of_calls: Iterable[dict[int, int]]) -> Scenario:
-    """Return a scenario that restores a robot again and again, each time with these words, by their index."""
-    calls = []
-    for words in words_of_calls:
-        pairs = itertools.chain.from_iterable(words.items())
-        calls.append(Call("restore", tuple(pairs)))
+def scenario_of_restores(numbers_of_calls: Iterable[dict[str, int]]) -> Scenario:
+    """Return a scenario that restores a robot again and again, each time with these numbers, by name."""
+    calls = [Call("restore", new_numbers=tuple(numbers.items())) for numbers in numbers_of_calls]
     return Scenario(parse_scenario(ROBOT_WITHOUT_FILTER).setup, tuple(calls))
 
 
 @settings(max_examples=25, deadline=None, database=None, derandomize=True)
-@given(needed_numbers=st.sets(st.integers(0, 29), min_size=1, max_size=4), call_count=st.integers(30, 40))
-def test_shrinking_leaves_exactly_the_calls_and_words_that_the_failure_needs(
-    needed_numbers: set[int], call_count: int
+@given(needed_calls=st.sets(st.integers(0, 29), min_size=1, max_size=4), call_count=st.integers(30, 40))
+def test_shrinking_leaves_exactly_the_calls_and_numbers_that_the_failure_needs(
+    needed_calls: set[int], call_count: int
 ) -> None:
-    """A scenario has 30 to 40 calls, numbered from 0. The failure needs one to four of them.
+    """A scenario has 30 to 40 calls, counted from 0. The failure needs one to four of them.
 
-    Each call writes its number into word 1, by which the check knows it, and needless values into words 2
-    and 3. The shortest scenario has only the needed calls, and in them only word 1.
+    Each call replaces t by its count, by which the check knows it, and n and x_hat needlessly. The shortest
+    scenario has only the needed calls, and in them only t.
     """
 
     def fail_if_all_needed_calls_were_made(scenario: Scenario) -> Failure | None:
-        numbers_of_calls = {dict(call.pairs).get(1) for call in scenario.calls}
-        if needed_numbers <= numbers_of_calls:
+        calls_made = {dict(call.new_numbers).get("t") for call in scenario.calls}
+        if needed_calls <= calls_made:
             return Failure(scenario, ("all needed calls",))
         return None
 
-    words_of_calls = ({1: number, 2: 7, 3: number % 3} for number in range(call_count))  # values by index
-    scenario = scenario_of_restores(words_of_calls)
+    scenario = scenario_of_restores({"t": count, "n": 7, "x_hat": count % 3} for count in range(call_count))
     shortest_failure = shrink(Failure(scenario, ()), fail_if_all_needed_calls_were_made)
 
-    expected_scenario = scenario_of_restores({1: number} for number in sorted(needed_numbers))
+    expected_scenario = scenario_of_restores({"t": count} for count in sorted(needed_calls))
     assert shortest_failure.scenario == expected_scenario
 
 

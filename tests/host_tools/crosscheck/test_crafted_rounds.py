@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from math import floor
 from random import Random
 
 import pytest
@@ -28,7 +27,6 @@ from mcp_asdf_tools.crosscheck.crafted_rounds import (
     draw_round_of_large_scatter,
     draw_rounds_at_threshold,
     draw_x_hats_at_threshold,
-    fractions_around,
     scatter_of,
 )
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
@@ -117,7 +115,7 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
         m = rng.randint(2, 127)  # number of estimates
         own_x_hat = rng.randint(0, ONE)
         entry_for_m = table_of(omega).entry(m)
-        pair = draw_x_hats_at_threshold(own_x_hat, table_entry=entry_for_m, m=m, rng=rng, gap_share=1)
+        pair = draw_x_hats_at_threshold(own_x_hat, table_entry=entry_for_m, m=m, rng=rng, distance_share=1)
         if pair is not None:
             passing, rejected = pair
             threshold = threshold_of(omega, m)
@@ -134,13 +132,13 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
 @given(own_x_hat=x_hats_of_robots, m=st.integers(2, 127), seed=seeds)
 @settings(max_examples=40, deadline=None)
 def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int, seed: int) -> None:
-    """Estimates are in units of 2**-23, so ONE stands for 1. With ``gap_share=1`` they may fill 0 to ONE.
+    """Estimates are in units of 2**-23, so ONE stands for 1. With a share of 1 they may fill 0 to ONE.
 
     A robot gets m of them. Its test has a threshold for each m, which is an entry of its table. Two lists are
     drawn: of estimates just inside the threshold, and of estimates just outside.
     """
     rng = Random(seed)
-    pair = draw_x_hats_at_threshold(own_x_hat, table_entry=TABLE.entry(m), m=m, rng=rng, gap_share=1)
+    pair = draw_x_hats_at_threshold(own_x_hat, table_entry=TABLE.entry(m), m=m, rng=rng, distance_share=1)
     assume(pair is not None)  # hypothesis tries other numbers where the estimates have no room
     assert pair is not None  # tells mypy
     inside, outside = pair
@@ -152,26 +150,10 @@ def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int,
 def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> None:
     """The estimates may fill 1 / 2**30 of the 2**22 units of room on either side of the robot's own x_hat."""
     half = 2**22  # of 2**23 units
-    pair = draw_x_hats_at_threshold(half, table_entry=TABLE.entry(5), m=5, rng=Random(1), gap_share=2**-30)
+    pair = draw_x_hats_at_threshold(
+        half, table_entry=TABLE.entry(5), m=5, rng=Random(1), distance_share=2**-30
+    )
     assert pair is None
-
-
-@given(value=st.fractions(0, 3), max_denominator=st.integers(1, 100))
-@settings(max_examples=30, deadline=None)
-def test_fractions_around_a_value_are_the_nearest_on_either_side(
-    value: Fraction, max_denominator: int
-) -> None:
-    """The lower fraction may equal the value; the upper one is larger. Their denominators have a maximum."""
-    fractions_below = []
-    fractions_above = []
-    for denominator in range(1, max_denominator + 1):
-        numerator_below = floor(value * denominator)
-        fractions_below.append(Fraction(numerator_below, denominator))
-        fractions_above.append(Fraction(numerator_below + 1, denominator))
-
-    lower, upper = fractions_around(value, max_denominator)
-    assert lower == max(fractions_below)
-    assert upper == min(fractions_above)
 
 
 def test_rejected_estimates_at_the_threshold_change_b_hat() -> None:

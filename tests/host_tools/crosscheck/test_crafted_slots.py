@@ -50,7 +50,7 @@ def draw_kept_and_rejected_slots(
     robot: MirrorRobot, count: int, width: int, seed: int
 ) -> tuple[SlotsAtTest, SlotsAtTest]:
     """Draw estimates by which the robot's test just does not reject, and others by which it just does."""
-    pair = draw_slots_at_threshold(robot, count, width, Random(seed))
+    pair = draw_slots_at_threshold(robot.s, count, width, Random(seed))
     assert pair is not None
     return pair
 
@@ -128,13 +128,13 @@ def test_few_tests_at_the_threshold_are_decided_by_the_last_bit_of_the_centre(
 def test_there_is_no_pair_if_no_estimates_contradict_the_robot() -> None:
     """With b_hat = 1/2 a robot predicts half black on any floor, so its test never rejects."""
     robot = robot_that_observed(black=250, white=250, b_hat=0.5)
-    assert draw_slots_at_threshold(robot, count=5, width=4, rng=Random(1)) is None
+    assert draw_slots_at_threshold(robot.s, count=5, width=4, rng=Random(1)) is None
 
 
 def test_there_is_no_pair_if_all_estimates_contradict_the_robot() -> None:
     """With b_hat = 0.6 no fill ratio explains 500 black tiles of 500, so its test always rejects."""
     robot = robot_that_observed(black=500, white=0, b_hat=0.6)
-    assert draw_slots_at_threshold(robot, count=5, width=4, rng=Random(1)) is None
+    assert draw_slots_at_threshold(robot.s, count=5, width=4, rng=Random(1)) is None
 
 
 def test_a_draw_does_not_change_the_robot() -> None:
@@ -162,7 +162,7 @@ def test_a_robot_re_estimates_b_hat_unless_more_than_two_fifths_of_its_neighbour
     not. The robot's test rejects b_hat, the accuracy that it assumes, but supporters let it keep b_hat.
     """
     robot = robot_that_observed(black=300, white=200, b_hat=0.8)
-    slots = slots_with_supporters(robot, count=supporters + opponents, supporter_count=supporters)
+    slots = slots_with_supporters(robot.s, count=supporters + opponents, supporter_count=supporters)
     assert slots is not None
     two_thirds = round(2 / 3 * 2**16)  # in units of 2**-16
     assert slots.estimates == (two_thirds,) * supporters + (0,) * opponents
@@ -174,7 +174,7 @@ def test_a_robot_re_estimates_b_hat_unless_more_than_two_fifths_of_its_neighbour
 def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None:
     """Such a robot predicts half black on any floor. No estimates make its test reject: None."""
     robot = robot_that_observed(black=250, white=250, b_hat=0.5)
-    assert slots_with_supporters(robot, count=5, supporter_count=2) is None
+    assert slots_with_supporters(robot.s, count=5, supporter_count=2) is None
 
 
 # --- What a test needs beside the estimates ---

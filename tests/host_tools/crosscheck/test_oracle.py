@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from crosschecks import CheckedCall, check_calls, with_value
+from crosschecks import check_calls, with_outcome, with_value_after
 from mcp_asdf.fixed_point import alpha_from_word
 from mcp_asdf.reference import assumed_accuracy_update, local_estimate
 from mcp_asdf.robot import Filter
+from mcp_asdf_tools.crosscheck.audit import Audit, Errors, region_of
 from mcp_asdf_tools.crosscheck.bounds import (
     HALF,
     alpha_bounds,
@@ -21,7 +22,8 @@ from mcp_asdf_tools.crosscheck.bounds import (
     is_update_expected,
     x_hat_bounds,
 )
-from mcp_asdf_tools.crosscheck.oracle import Audit, Errors, region_of
+from mcp_asdf_tools.crosscheck.oracle import check_call
+from mcp_asdf_tools.crosscheck.scenario import CallRecord, parse_scenario
 from robots import ALPHA_ONE
 
 # --- Bounds ----------------------------------------------------------------------------------------------
@@ -165,14 +167,9 @@ def test_an_x_bar_so_near_to_the_limit_that_rounding_decides_may_lead_to_an_upda
 # --- What is found wrong in a call -----------------------------------------------------------------------
 
 
-def last_call(text: str, audit: Audit) -> CheckedCall:
-    """Make the calls of a scenario, and return the last call. The audit must find nothing wrong."""
-    return list(check_calls(text, audit))[-1]
-
-
-def problems_of(call: CheckedCall, audit: Audit) -> list[str]:
-    """Compare a call with an exact computation, the audit. Return one line of text per problem."""
-    return audit.check_call(call.setup, call.call, call.before, call.after)
+def last_call(text: str, audit: Audit) -> CallRecord:
+    """Make the calls of a scenario, and return the last call. Exact arithmetic must find nothing wrong."""
+    return list(check_calls(parse_scenario(text), audit))[-1]
 
 
 def robot(mode: Filter, b_hat: int = 3 << 30) -> str:
@@ -191,9 +188,9 @@ def problems_of_changed_update(value_name: str, change: int) -> list[str]:
     audit = Audit()
     scenario = f"{robot(Filter.ALWAYS)},step:1,step:0,{receive(sender=1, x_hat=3_000_000)},step:0"
     update = last_call(scenario, audit)
-    assert update.after.outcome == "UPDATED"
-    update.after = with_value(update.after, value_name, update.after.state[value_name] + change)
-    return problems_of(update, audit)
+    assert update.is_updated
+    changed_update = with_value_after(update, value_name, update.new_state[value_name] + change)
+    return check_call(changed_update, audit)
 
 
 # design: R21
@@ -224,7 +221,7 @@ def test_a_value_that_follows_from_no_equation_is_not_checked() -> None:
     assert problems_of_changed_update("open_x", change=1) == []
 
 
-def make_step_after_messages(mode: Filter, message_count: int, audit: Audit) -> CheckedCall:
+def make_step_after_messages(mode: Filter, message_count: int, audit: Audit) -> CallRecord:
     """Return a right call of ``step`` that runs the filter. Messages with different x_hat came before.
 
     The audit finds nothing wrong in these calls, and counts the tests of the filter.
@@ -244,9 +241,9 @@ def test_a_change_of_b_hat_without_a_reason_is_reported(mode: Filter, message_co
     """
     audit = Audit()
     step = make_step_after_messages(mode, message_count, audit)
-    step.after = replace(step.after, outcome="UPDATED")
+    wrong_step = with_outcome(step, "UPDATED")
 
-    assert problems_of(step, audit) == ["b_hat is re-estimated, wrongly"]
+    assert check_call(wrong_step, audit) == ["b_hat is re-estimated, wrongly"]
     assert audit.tests == 0, "tests of the filter, of which there is none in such a step"
 
 
@@ -263,9 +260,9 @@ def test_a_b_hat_that_is_kept_where_it_had_to_change_is_reported(
     """
     audit = Audit()
     step = make_step_after_messages(mode, message_count, audit)
-    step.after = replace(step.after, outcome="OK")
+    wrong_step = with_outcome(step, "OK")
 
-    assert problems_of(step, audit) == ["b_hat is not re-estimated, wrongly"]
+    assert check_call(wrong_step, audit) == ["b_hat is not re-estimated, wrongly"]
     assert audit.tests == expected_tests, (
         "tests of the filter, one in the right call and one in the wrong one"
     )
@@ -278,17 +275,18 @@ def test_a_change_of_b_hat_before_the_filter_period_has_passed_is_reported() -> 
     """
     audit = Audit()
     step = make_step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
-    step.before = with_value(step.before, "filter_left", 2)
+    state_before = step.old_state | {"filter_left": 2}
+    wrong_step = replace(step, before=replace(step.before, state=state_before))
 
-    assert problems_of(step, audit) == ["b_hat is re-estimated, wrongly"]
+    assert check_call(wrong_step, audit) == ["b_hat is re-estimated, wrongly"]
 
 
 def test_no_update_is_expected_of_a_call_that_the_robot_refuses() -> None:
     """The result of a right call is replaced by a refused observation. No filter runs after a refusal."""
     audit = Audit()
     step = make_step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
-    step.after = replace(step.after, outcome="ERR_OBSERVATION")
-    assert problems_of(step, audit) == []
+    refused_step = with_outcome(step, "ERR_OBSERVATION")
+    assert check_call(refused_step, audit) == []
 
 
 # --- What is counted -------------------------------------------------------------------------------------
@@ -338,8 +336,8 @@ def collect_errors_of_third_step(b_hat: int, x_bar: int) -> CollectedErrors:
     scenario = f"{robot(Filter.ALWAYS, b_hat)},step:1,step:1,{receive(sender=1, x_hat=x_bar)},step:0"
     step = last_call(scenario, Audit())
     audit = Audit()  # a new one, which has no errors of the calls before
-    assert problems_of(step, audit) == []
-    return CollectedErrors(audit.as_dict()["errors"], step.after.state)
+    assert check_call(step, audit) == []
+    return CollectedErrors(audit.as_dict()["errors"], step.new_state)
 
 
 B_HAT_099, B_HAT_055 = 4252017623, 2362232013

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import replace
 from fractions import Fraction
 
 import pytest
 
-from crosschecks import CheckedCall, check_calls, with_value
+from crosschecks import check_calls, with_outcome, with_value_after
 from mcp_asdf.robot import Filter
 from mcp_asdf.robust_reference import Observations, Votes
-from mcp_asdf_tools.crosscheck.oracle import Audit
+from mcp_asdf_tools.crosscheck.audit import Audit
+from mcp_asdf_tools.crosscheck.oracle import check_call
 from mcp_asdf_tools.crosscheck.robust_bounds import (
     dispersion_bounds,
     robust_test_outcome,
@@ -22,7 +22,7 @@ from mcp_asdf_tools.crosscheck.robust_bounds import (
     support_outcome,
 )
 from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
-from mcp_asdf_tools.crosscheck.scenario import CallResult
+from mcp_asdf_tools.crosscheck.scenario import CallRecord, parse_scenario
 from robots import ALPHA_ONE
 
 # --- Bounds ----------------------------------------------------------------------------------------------
@@ -207,25 +207,25 @@ DEVIATIONS_BY_EVENT = {
 """Fields in which a deviation by one unit must be found, by event of the robust filter or call."""
 
 
-def results_with_a_wrong_value(event: str, after: CallResult) -> Iterator[CallResult]:
+def records_with_a_wrong_value(event: str, record: CallRecord) -> Iterator[CallRecord]:
     """Yield what a wrong firmware may show after an event of the robust filter: one field is a unit off."""
     for name in DEVIATIONS_BY_EVENT.get(event, ()):
-        yield with_value(after, name, after.state[name] + 1)
-        yield with_value(after, name, after.state[name] - 1)
+        yield with_value_after(record, name, record.new_state[name] + 1)
+        yield with_value_after(record, name, record.new_state[name] - 1)
     if event in ("too few", "accepted", "returned", "supported"):
-        yield replace(after, outcome="UPDATED" if after.outcome == "OK" else "OK")
+        yield with_outcome(record, "OK" if record.is_updated else "UPDATED")
 
 
 @pytest.fixture(scope="module")
-def calls_by_event() -> dict[str, list[CheckedCall]]:
+def calls_by_event() -> dict[str, list[CallRecord]]:
     """The right calls of 40 random scenarios, by the events of the robust filter in them and by name."""
-    calls: dict[str, list[CheckedCall]] = defaultdict(list)
+    calls: dict[str, list[CallRecord]] = defaultdict(list)
     audit = Audit()
     for index in range(40):
-        for checked_call in check_calls(str(robust_scenario(1, index)), audit):
-            for event in (*audit.events["robust"], checked_call.call.name):
-                calls[event].append(checked_call)
-            audit.events["robust"].clear()
+        for record in check_calls(robust_scenario(1, index), audit):
+            for event in (*audit.events, record.call.name):
+                calls[event].append(record)
+            audit.events.clear()
     return calls
 
 
@@ -233,7 +233,7 @@ def calls_by_event() -> dict[str, list[CheckedCall]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("event", DEVIATIONS_BY_EVENT)
 def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported(
-    event: str, calls_by_event: dict[str, list[CheckedCall]]
+    event: str, calls_by_event: dict[str, list[CallRecord]]
 ) -> None:
     """After a right call one value of the robot is changed by a unit. The oracle must report a problem.
 
@@ -243,9 +243,9 @@ def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported(
     calls = calls_by_event[event]
     assert len(calls) >= 3, "the 40 scenarios hardly have this event"
     for right_call in calls[:10]:
-        for wrong_after in results_with_a_wrong_value(event, right_call.after):
-            problems = Audit().check_call(right_call.setup, right_call.call, right_call.before, wrong_after)
-            assert problems != [], f"{right_call.call} may give {wrong_after}"
+        for wrong_call in records_with_a_wrong_value(event, right_call):
+            problems = check_call(wrong_call, Audit())
+            assert problems != [], f"{right_call.call} may give {wrong_call.after}"
 
 
 ROBUST_ROBOT = f"robot:{Filter.ROBUST:d}:1:64:0:{3 << 30}"
@@ -257,9 +257,10 @@ def test_a_dispersion_out_of_bounds_is_reported() -> None:
 
     After two observations it is 1, or 256 units. The result of the last call, ``settle``, gets 258.
     """
-    *_, settle = check_calls(f"{ROBUST_ROBOT},observe:1,observe:0,settle", Audit())
-    wrong_result = with_value(settle.after, "robust_dispersion", 256 + 2)
-    problems = Audit().check_call(settle.setup, settle.call, settle.before, after=wrong_result)
+    scenario = parse_scenario(f"{ROBUST_ROBOT},observe:1,observe:0,settle")
+    *_, settle = check_calls(scenario, Audit())
+    wrong_settle = with_value_after(settle, "robust_dispersion", 256 + 2)
+    problems = check_call(wrong_settle, Audit())
     assert problems == ["dispersion is 1.0078125, outside 1 to 1"]
 
 
@@ -269,8 +270,8 @@ def test_a_dispersion_out_of_bounds_is_reported() -> None:
 def count_robust_events(text: str) -> tuple[Counter[str], int]:
     """Make the calls of a scenario, and return the events of the robust filter and the number of tests."""
     audit = Audit()
-    list(check_calls(text, audit))
-    return audit.events["robust"], audit.tests
+    list(check_calls(parse_scenario(text), audit))
+    return audit.events, audit.tests
 
 
 def receive(sender: int, x_hat: float) -> str:
