@@ -177,16 +177,16 @@ One unit of 2**-23 then moves it so little that a threshold that is wrong by a m
 
 
 RoundsAtThreshold = tuple[list[NeighbourEstimate], list[NeighbourEstimate]]
-"""Two rounds that differ by so little that a robot's test passes the first and rejects the second."""
+"""Two rounds next to the threshold of a robot's test, which passes the first and rejects the second."""
 
 
 def draw_rounds_at_threshold(robot: RobotState, m: int, rng: Random) -> RoundsAtThreshold:
     """Draw two rounds of ``m`` estimates: the robot's test just rejects the second, and not the first.
 
-    They are as close to the test's threshold as x_hat in units of 2**-23 can be, and the second one changes
-    b_hat. For a hundred estimates or more, pairs of rounds are drawn until a test in float64 would decide
-    wrongly about one of the two. If none of many pairs is like that, the first pair is returned. The robot
-    must have a table.
+    They are so close to the test's threshold that one that is wrong by a millionth shows, and the second one
+    changes b_hat. For a hundred estimates or more, pairs of rounds are drawn until a test in float64 would
+    decide wrongly about one of the two. If none of many pairs is like that, the first pair is returned. The
+    robot must have a table.
     """
     first_rounds: RoundsAtThreshold | None = None
     for _ in range(_MAX_DRAWS):
