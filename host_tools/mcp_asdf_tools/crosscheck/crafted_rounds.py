@@ -170,10 +170,11 @@ _MIN_DISTANCE_SHARE = 0.5
 """Smallest distance of a round's mean from the robot's x_hat, as a share of the largest possible one.
 
 So large sums have bits that floats lose."""
-_MIN_RANGE = 1 << 13
-"""Smallest distance between the smallest and the largest x_hat of a round that serves.
+_MIN_DISTANCE = 1 << 19
+"""Smallest distance of the mean of a round that serves from the robot's x_hat.
 
-One unit of 2**-23 then moves it so little that a threshold that is wrong by a millionth shows."""
+One unit of 2**-23 then moves it so little that a threshold that is wrong by a millionth shows. On one side of
+any x_hat there is room for that."""
 
 
 RoundsAtThreshold = tuple[list[NeighbourEstimate], list[NeighbourEstimate]]
@@ -204,8 +205,8 @@ def draw_rounds_at_threshold(robot: RobotState, m: int, rng: Random) -> RoundsAt
 def _draw_useful_rounds(robot: RobotState, m: int, rng: Random) -> RoundsAtThreshold | None:
     """Draw two rounds on both sides of the threshold of a robot's test; None if they would show too little.
 
-    They must have x_hat so far apart that a threshold that is wrong by a millionth shows, and the second one,
-    which the test rejects, must change b_hat.
+    Their x_hat must be so far from the robot's that a threshold that is wrong by a millionth shows, and the
+    second one, which the test rejects, must change b_hat.
     """
     assert robot.table is not None
     distance_share = rng.uniform(_MIN_DISTANCE_SHARE, 1)
@@ -213,7 +214,8 @@ def _draw_useful_rounds(robot: RobotState, m: int, rng: Random) -> RoundsAtThres
     if x_hats is None:
         return None
     passed_x_hats, rejected_x_hats = x_hats
-    if max(passed_x_hats) - min(passed_x_hats) < _MIN_RANGE:
+    mean = sum(passed_x_hats) // m
+    if abs(mean - robot.x_hat) < _MIN_DISTANCE:
         return None
     alphas = draw_alphas_of_one_scale(rng, m)
     passed_round = list(map(NeighbourEstimate, passed_x_hats, alphas))
