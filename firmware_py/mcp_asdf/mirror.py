@@ -309,12 +309,11 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     # highest bit allows: it has 32 bits then.
     excess_total = (rarer - errors) << accuracy.g_shift  # (p - c) total
     g_total = (total - 2 * errors) << accuracy.g_shift  # g total, as g is 1 - 2 c
-    # divide_24 takes numbers of 31 bits. By half of the divisor the quotient is twice the estimate.
-    half_of_g_total = g_total >> 1
-    doubled_estimate_q24 = divide_24(excess_total, half_of_g_total)
-    doubled_x_hat = doubled_estimate_q24 >> 1  # from units of 2**-24 to units of 2**-23
+    # divide_24 takes divisors of 31 bits, so it gets half of this one. Twice the estimate in units of 2**-24,
+    # which it returns then, is the estimate in units of 2**-25.
+    estimate_q25 = divide_24(excess_total, g_total >> 1)
     confidence = confidence_inside(accuracy, total, rarer, g_total, count_shift)
-    return doubled_x_hat >> 1, confidence
+    return estimate_q25 >> 2, confidence  # in units of 2**-23
 
 
 # ---- The round: eq. 5 to 7, and 12 ----
@@ -675,7 +674,7 @@ class MirrorRobot(FixedPointView):
             # are what the paper's test is computed from.
             is_updated = self._update_b_hat()
         s.open = Sums()
-        s.heard = [0, 0, 0, 0]
+        s.heard = [0, 0, 0, 0]  # bits by sender: nobody has been heard in the new round
         return Status.UPDATED if is_updated else Status.OK
 
     def step(self, z: Observation) -> Status:
@@ -985,12 +984,15 @@ def _unpack_parts(image: bytes, *formats: struct.Struct) -> list[tuple[int, ...]
 
 
 def _set_memory_of_filter(s: State, config: Config, numbers: Sequence[int]) -> None:
-    """Set what only the filter of ``config`` remembers to the numbers that an image has for it."""
+    """Set what only the filter of ``config`` remembers to the numbers that an image has for it.
+
+    These are the robust filter's own and the estimate in each slot. With another filter, or none, they are
+    the sums of the closed round and of the open one.
+    """
     if config.filter == Filter.ROBUST:
-        s.robust = RobustFilter(*numbers[:-SLOTS])  # an estimate for each slot follows
+        s.robust = RobustFilter(*numbers[:-SLOTS])
         s.estimates = list(numbers[-SLOTS:])
     else:
-        closed_sums = numbers[: len(fields(Closed))]
-        open_sums = numbers[len(fields(Closed)) :]
-        s.closed = Closed(*closed_sums)
-        s.open = Sums(*open_sums)
+        closed_sum_count = len(fields(Closed))
+        s.closed = Closed(*numbers[:closed_sum_count])
+        s.open = Sums(*numbers[closed_sum_count:])

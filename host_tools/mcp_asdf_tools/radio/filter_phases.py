@@ -357,7 +357,7 @@ def observe_long(bench: Bench) -> None:
 
 def _observe_until_filter_runs(bench: Bench) -> None:
     """Let the controller observe, at least once, until the round begins at whose end its filter runs next."""
-    bench.activity = _MANY_OBSERVATIONS
+    bench.activity = _MANY_OBSERVATIONS  # named by the progress, and by a difference that shows meanwhile
     # A b_hat that the last round has changed enters x_hat with the next observation, so that it shows.
     bench.play_tick(bench.draw_observation())
     bench.skip_to_test_round(bench.draw_observation)

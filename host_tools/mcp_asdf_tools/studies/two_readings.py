@@ -57,7 +57,7 @@ def two_readings_rows() -> dict[str, list[Experiment]]:
     once.
     """
     robots_and_filters: list[dict[str, Any]] = [
-        # These observe in every second step: the second reading of each tile, and not the first.
+        # The usual filters use one of the readings of a tile, as they observe in every second step.
         {"filter": ["none", "asdf-minus", "robust"], "observation_period": READINGS_OF_TILE},
         {"firmware": TwoReadingsRobot, "filter": "robust"},
     ]
@@ -65,7 +65,7 @@ def two_readings_rows() -> dict[str, list[Experiment]]:
         SWARMS,
         **MOVING_SWARM,
         robots_and_filters=robots_and_filters,
-        # A step is a reading: with these periods and steps there are as many tiles as usual.
+        # A step is a reading here. So all times, which count steps, are multiplied by the readings of a tile.
         comms_period=READINGS_OF_TILE,
         filter_period=READINGS_OF_TILE * 1000,
         steps=READINGS_OF_TILE * 10_000,
