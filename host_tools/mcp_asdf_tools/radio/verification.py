@@ -22,7 +22,11 @@ from mcp_asdf_tools.radio.filter_phases import SIZES_AT_THRESHOLD, required_upda
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, can_fill_memory, can_wait_for_tests
 from mcp_asdf_tools.radio.protocol_phases import CROWDED_MESSAGES
-from mcp_asdf_tools.radio.robust_phases import can_contradict_extreme_estimate, can_estimates_decide_test
+from mcp_asdf_tools.radio.robust_phases import (
+    can_contradict_extreme_estimate,
+    can_estimates_decide_test,
+    can_largest_spread_decide_test,
+)
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
@@ -203,6 +207,10 @@ def not_checked(setup: RobotSetup) -> list[str]:
         (
             has_robust_filter and not can_contradict_extreme_estimate(setup),
             "those that support it, and a b_hat of exactly 1/2: a run has too few observations",
+        ),
+        (
+            has_robust_filter and not can_largest_spread_decide_test(setup),
+            "the largest spread in its test: no observations of a run show it",
         ),
         (True, f"more than {CROWDED_MESSAGES} messages in a tick"),
         (True, "its own clock, sensor and telemetry period: commands replace them"),

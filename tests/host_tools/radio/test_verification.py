@@ -525,6 +525,18 @@ NEVER_CHECKED = [
                 "the last step",
                 "its test at the threshold",
                 "those that support it, and a b_hat of exactly 1/2",
+                "the largest spread in its test",
+            ],
+        ),
+        (
+            ROBUST_FILTER | {"b_hat": 0.95},
+            [
+                "rounds longer",
+                "forgetting",
+                "a counter of more than 257 updates",
+                "rounding of its test",
+                "the last step",
+                "the largest spread in its test",
             ],
         ),
         (
