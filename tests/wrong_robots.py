@@ -468,11 +468,9 @@ WRONG: dict[str, Wrong] = {
         "= {2 => 1} if config.filter ==",
         "if {not => s.open.count > 1 and not} asdf_test_rejects",
     ),
-    "never updates": with_firmware(
-        "all white", "return {reestimate(s.t, s.n, round_mean(sums_for_x_bar)) => None}"
-    ),
+    "never updates": with_firmware("all white", "return {reestimate(s.t, s.n, x_bar) => None}"),
     "x_bar not weighted in eq. 8": with_firmware(
-        "few observations", "s.n, round_mean({sums_for_x_bar => Closed(s.open.count << 24, s.open.x << 24)}))"
+        "few observations", "x_bar = round_mean({s.closed => Closed(s.open.count << 24, s.open.x << 24)})"
     ),
     "eq. 8 in float32": with_firmware("few observations", "min(max({b_hat => b_hat >> 10 << 10}, B_HAT_MIN)"),
     "b_hat clamped elsewhere": with_firmware(
@@ -522,7 +520,7 @@ WRONG: dict[str, Wrong] = {
         "alone", "from_mantissa({confidence.mantissa => confidence.mantissa ^ (n == 0)}, "
     ),
     "alpha wrong where x_hat is clamped": with_firmware(
-        "stray commands", "rare_term + {(common_term => 0 * (common_term} >> acc"
+        "stray commands", "shorter_common_term = {common_term => 0 * common_term} >> acc"
     ),
     "alpha wrong there after 100 tiles": with_firmware(
         "all white", "at_end(accuracy, {t => t ^ (t > 100)}, rare_count)"
@@ -559,10 +557,10 @@ WRONG: dict[str, Wrong] = {
         "threshold of 126 messages", "sum_x_squared - sum_x * sum_x{ =>  & (1 << 56) - 1}"
     ),
     "b_hat wrong for t below 500": with_firmware(
-        "few observations", "return reestimate(s.t, s.n{ =>  + (s.t < 500)}, round_mean("
+        "few observations", "return reestimate(s.t, s.n{ =>  + (s.t < 500)}, x_bar)"
     ),
     "b_hat wrong for t from 100 to 500": with_firmware(
-        "few observations", "return reestimate(s.t, s.n{ =>  + (100 < s.t < 500)}, round_mean("
+        "few observations", "return reestimate(s.t, s.n{ =>  + (100 < s.t < 500)}, x_bar)"
     ),
     "eq. 8 wrong for sums of alpha below 1": with_firmware(
         "few observations",
@@ -574,7 +572,7 @@ WRONG: dict[str, Wrong] = {
         "        return (numerator << 16) // denominator << 16}",
     ),
     "t of 14 bits in eq. 8": with_firmware(
-        "estimates of 0 and 1", "return reestimate(s.t{ =>  % (1 << 14)}, s.n, round_mean("
+        "estimates of 0 and 1", "return reestimate(s.t{ =>  % (1 << 14)}, s.n, x_bar)"
     ),
     "an update counter of 5 bits": with_firmware(
         "many updates", "s.updates = {next_count(s.updates) => (s.updates + 1) & 31}"
@@ -613,7 +611,9 @@ WRONG: dict[str, Wrong] = {
         "its own id",
         "            { => keep_estimate(s.robust, s.estimates, sender, x_hat); }return Status.REPEATED",
     ),
-    "x is 1/2 before the first vote": with_robust_firmware("alone", "estimate({self.s.x_hat => HALF}, self"),
+    "x is 1/2 before the first vote": with_robust_firmware(
+        "alone", "self._centre_of_votes({self.s.x_hat => HALF})"
+    ),
     "the batch goes on at a halving": with_firmware(
         "test of a wide spread",
         FAULTS["batch: halving"],

@@ -160,8 +160,8 @@ def accuracy_of(b_hat: int) -> Accuracy:
     return Accuracy(
         b_hat=b_hat,
         c=c if is_informative else C_WITHOUT_INFORMATION,
-        common=square_of_ratio(shifted_g, one_minus_c),
-        rare=square_of_ratio(shifted_g, shifted_c),
+        common=square_of_ratio(shifted_g, one_minus_c),  # (g / (1 - c))**2, but for the shift
+        rare=square_of_ratio(shifted_g, shifted_c),  # (g / c)**2, but for both shifts
         g_shift=g_shift,
         rare_shift=2 * c_shift,  # c is squared, and so is the factor 2**c_shift
     )
@@ -217,19 +217,20 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> Confidence
         alpha = rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2
 
     where ``rare_count`` of t > 0 observations are of the rarer colour, c is the probability of an error and
-    g = 1 - 2 c. The squares are ``accuracy.rare`` and ``accuracy.common``, in units of 2**-30. Both are
-    2**(2 g_shift) times too large, as g was shifted up before, and ``rare`` is 2**rare_shift times too small,
-    as c was.
+    g = 1 - 2 c. ``accuracy`` has both squares, as ``rare`` and ``common``, in units of 2**-30 and of shifted
+    numbers. As g was shifted up, both are 2**(2 g_shift) times too large. As c was, too, ``rare`` is besides
+    2**rare_shift times too small.
     """
     rare_term = rare_count * accuracy.rare
     common_term = (t - rare_count) * accuracy.common
     # A unit of 2**-30 is 2**-6 units of 2**-24. The rest undoes the shift of g, which is squared.
     exponent = -6 - 2 * accuracy.g_shift
     if rare_count == 0:
-        return confidence_of(common_term, exponent)  # the only term, which keeps all of its bits until here
-    # The common term becomes as small as the rare one is, and the exponent makes up for both.
-    sum_of_terms = rare_term + (common_term >> accuracy.rare_shift)
-    return confidence_of(sum_of_terms, exponent + accuracy.rare_shift)
+        return confidence_of(common_term, exponent)  # alone, so that it need not lose bits as below
+    # Terms of one sum have one exponent. The rare term needs a larger one, as it is too small, and the common
+    # term loses as many bits.
+    shorter_common_term = common_term >> accuracy.rare_shift
+    return confidence_of(rare_term + shorter_common_term, exponent + accuracy.rare_shift)
 
 
 def confidence_inside(
@@ -252,12 +253,12 @@ def confidence_inside(
     upper_numerator, numerator_exponent = upper_bits(numerator, 31)
     upper_denominator, denominator_exponent = upper_bits(denominator, 31)
     quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha
-    # The exponents make up for the 64 bits that the numerator has lost, and for the shifts.
+    # The exponent of the quotient makes up for the 64 bits that the numerator has lost, and for the shifts.
     numerator_shift = 2 * accuracy.g_shift + 3 * count_shift  # of g squared and of three counts
     denominator_shift = 2 * count_shift  # of two counts
-    numerator_exponent += 64 - numerator_shift
-    denominator_exponent -= denominator_shift
-    return confidence_of(quotient, numerator_exponent - denominator_exponent)
+    exponent = numerator_exponent - denominator_exponent
+    exponent += 64 - numerator_shift + denominator_shift
+    return confidence_of(quotient, exponent)
 
 
 def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
@@ -305,15 +306,14 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     if rarer <= errors:
         # The rarer colour has not come more often than errors explain.
         return 0, confidence_at_end(accuracy, t, rare_count)
-    # Dividend and divisor of (p - c) / g are multiplied by ``total``, and shifted as far as the divisor's
-    # highest bit allows: it has 32 bits then.
-    excess_total = (rarer - errors) << accuracy.g_shift  # (p - c) total
-    g_total = (total - 2 * errors) << accuracy.g_shift  # g total, as g is 1 - 2 c
-    # divide_24 takes divisors of 31 bits, so it gets half of this one. Twice the estimate in units of 2**-24,
-    # which it returns then, is the estimate in units of 2**-25.
-    estimate_q25 = divide_24(excess_total, g_total >> 1)
-    confidence = confidence_inside(accuracy, total, rarer, g_total, count_shift)
-    return estimate_q25 >> 2, confidence  # in units of 2**-23
+    # (p - c) and g, both multiplied by ``total``, and shifted until g has 31 or 32 bits.
+    excess_total = (rarer - errors) << accuracy.g_shift
+    g_total = (total - 2 * errors) << accuracy.g_shift  # g is 1 - 2 c
+    # divide_24 takes a divisor of at most 31 bits. With half of g the quotient is twice the estimate, so its
+    # unit of 2**-24 is one of 2**-25 for the estimate.
+    x_hat_q25 = divide_24(excess_total, g_total >> 1)
+    x_hat_q23 = x_hat_q25 >> 2
+    return x_hat_q23, confidence_inside(accuracy, total, rarer, g_total, count_shift)
 
 
 # ---- The round: eq. 5 to 7, and 12 ----
@@ -330,10 +330,12 @@ def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
     in bits 8 to 31 and a shift in bits 0 to 4. The result is ``x_hat`` if all confidences are 0. For an own
     alpha of 0 it is x_bar (eq. 5).
     """
-    own_alpha = alpha_units(alpha)  # units of 2**-24, as the sum of alpha
-    if closed.alpha + own_alpha == 0:
+    own_alpha = alpha_units(alpha)
+    sum_alpha = closed.alpha + own_alpha  # units of 2**-24
+    sum_alpha_x = closed.alpha_x + own_alpha * x_hat  # units of 2**-47, of 2**-24 times 2**-23
+    if sum_alpha == 0:
         return x_hat
-    return (closed.alpha_x + own_alpha * x_hat) // (closed.alpha + own_alpha)
+    return sum_alpha_x // sum_alpha
 
 
 def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
@@ -669,7 +671,7 @@ class MirrorRobot(FixedPointView):
             s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
         s.filter_left -= 1
         if s.filter_left == 0:
-            s.filter_left = operator.index(self.config.filter_period)
+            s.filter_left = operator.index(self.config.filter_period)  # as Python's own int
             # Before ``s.open`` is cleared: its sums of x_hat and x_hat**2, which ``s.closed`` does not have,
             # are what the paper's test is computed from.
             is_updated = self._update_b_hat()
@@ -721,20 +723,21 @@ class MirrorRobot(FixedPointView):
         """
         s = self.s
         config = self.config
-        # The round that is ending is in the state twice: with all of its sums, among them those of the test,
-        # and with a copy of those that stay, from which x_bar is computed.
+        # ``settle`` has copied the sums for x_bar to ``s.closed``. Those for the test are in ``s.open`` only.
         ending_round = s.open
-        sums_for_x_bar = s.closed
+        if config.filter == Filter.OFF:
+            return None
         # The variance in eq. 12 takes two estimates, a re-estimate without a test takes one.
         messages_needed = 2 if config.filter == Filter.ADAPTIVE else 1
-        if config.filter == Filter.OFF or ending_round.count < messages_needed:
+        if ending_round.count < messages_needed:
             return None
         if config.filter == Filter.ADAPTIVE:
+            assert config.table is not None  # `check_config` has seen to it
             s.tests = next_count(s.tests)
-            assert config.table is not None
             if not asdf_test_rejects(config.table, ending_round, s.x_hat):
                 return None
-        return reestimate(s.t, s.n, round_mean(sums_for_x_bar))
+        x_bar = round_mean(s.closed)
+        return reestimate(s.t, s.n, x_bar)
 
     def _run_robust_filter(self) -> int | None:
         """Test the initial b_hat against the estimates that the robot keeps, one of each neighbour.
@@ -802,26 +805,33 @@ class MirrorRobot(FixedPointView):
 
     @property
     def x_bar_raw(self) -> int:
-        """Social estimate, the neighbours' weighted mean, in units of 2**-23; HALF if there is none."""
-        return self._social_or_informed_estimate(HALF, 0)
+        """Social estimate in units of 2**-23: the weighted mean x_hat of the last closed round's messages.
+
+        HALF if none of them has confidence. With the robust filter: the centre of the votes, or HALF before
+        the first.
+        """
+        if self.is_robust:
+            return self._centre_of_votes(HALF)
+        # An own estimate without confidence has no weight beside others, and is the result if there are none.
+        return informed_estimate(self.s.closed, x_hat=HALF, alpha=0)
 
     @property
     def x_raw(self) -> int:
-        """Informed estimate, which combines the local and the social one, in units of 2**-23."""
-        return self._social_or_informed_estimate(self.s.x_hat, self.s.alpha)
+        """Informed estimate, which combines the local and the social one, in units of 2**-23.
 
-    def _social_or_informed_estimate(self, x_hat: int, alpha: int) -> int:
-        """Return the weighted mean of the last closed round's x_hat and ``x_hat``, in units of 2**-23.
-
-        ``alpha``, a word of 32 bits with a mantissa (bits 8 to 31) and a shift (bits 0 to 4), is the weight
-        of ``x_hat``. The result is the social estimate if ``alpha`` is 0, and the informed estimate if both
-        are the robot's own. With the robust filter it is the centre of the votes, or ``x_hat`` before the
-        first.
+        With the robust filter: the centre of the votes, or the local estimate before the first.
         """
-        if not self.is_robust:
-            return informed_estimate(self.s.closed, x_hat, alpha)
-        has_votes = self.s.robust.votes > 0
-        return q23_from_q30(self.s.robust.centre) if has_votes else x_hat
+        if self.is_robust:
+            return self._centre_of_votes(self.s.x_hat)
+        return informed_estimate(self.s.closed, self.s.x_hat, self.s.alpha)
+
+    def _centre_of_votes(self, x_hat: int) -> int:
+        """Return the centre of the robust filter's votes, or ``x_hat`` before the first one.
+
+        Both are in units of 2**-23. In C this is ``robust_estimate``.
+        """
+        robust = self.s.robust
+        return q23_from_q30(robust.centre) if robust.votes > 0 else x_hat
 
     @property
     def counters(self) -> Counters:
@@ -860,7 +870,7 @@ class MirrorRobot(FixedPointView):
         s = self.s
         config = self.config
         if s.id > MAX_ID:
-            return False  # nor has the set of senders, which is checked below, a bit for this id
+            return False  # before the set of senders is checked, which has no bit for this id
         are_counts_valid = s.n <= s.t < config.memory  # at the memory both would have been halved
         is_filter_valid = are_valid_robust_members(s) if self.is_robust else are_valid_rounds(s)
         return (

@@ -137,12 +137,17 @@ def test_a_function_with_a_mistake_has_no_proof_of_its_contract(mistake: Mistake
         pytest.param("sort_estimates", "++slot)", "slot += 0U)"),
         pytest.param("is_supported", "supporters += ", "--i; supporters += ", id="moves the counter back"),
         pytest.param("huber_step", "++inside;", "++inside; ++count;", id="moves the limit away"),
+        pytest.param("huber_step", "++inside;", "do { ++inside; } while (inside != 3U);", id="loops by do"),
+        pytest.param("run_robust_filter", "    ++robot->", "again: if (count) { goto again; } ++robot->"),
     ],
 )
 def test_a_loop_with_a_mistake_is_not_taken_to_end(
     function: str, original_code: str, mistaken_code: str, tmp_path: Path
 ) -> None:
-    """It may have more turns than the comment beside it says, or its body may change what the loop counts."""
+    """It may have more turns than the comment beside it says, or its body may change what the loop counts.
+
+    Loops by ``do`` or ``goto`` are refused.
+    """
     code = parse_with_mistake(tmp_path, Mistake(function, original_code, mistaken_code))
 
     with pytest.raises(AssertionError):  # of which UnprovenError is a kind
