@@ -269,14 +269,13 @@ def end_batch(robust: RobustFilter, t: int, n: int) -> None:
     begin_batch(robust, t, n)
 
     share = q32_quotient(n, t)
-    # The ratio, on average 1 for independent observations, is the phi of overdispersed binomial models. At
-    # most 12 times the dispersion enters: more is an outlier, such as after a change of the floor.
+    # On average this is 1 for independent observations: it is the phi of overdispersed binomial models.
     ratio = ratio_of_batch(robust, count, black_count, share)
     if ratio is None:
         return
-    # (7 * dispersion + ratio) / 8
-    old_weight = (1 << DISPERSION_SHIFT) - 1
-    average = (old_weight * robust.dispersion + ratio) >> DISPERSION_SHIFT
+    old_weight = (1 << DISPERSION_SHIFT) - 1  # 7, where the batch has 1
+    weighted_sum = old_weight * robust.dispersion + ratio
+    average = weighted_sum >> DISPERSION_SHIFT  # divided by the sum of both weights, 8
     robust.dispersion = min(max(average, DISPERSION_MIN), DISPERSION_MAX)
 
 
@@ -284,22 +283,24 @@ def ratio_of_batch(robust: RobustFilter, count: int, black_count: int, share: in
     """Return deviation**2 / variance of a batch of observations, at most 12 times the dispersion.
 
     ``black_count`` of the batch's ``count`` observations are black, where count * share are expected, and the
-    deviation is the difference. The variance is count * share * (1 - share). ``share`` is in units of 2**-32,
-    and the result, as the dispersion, in units of 2**-8. It is None where the variance is 0, in a batch
-    without observations or for a share of 0, and where it is so small that it is rounded to 0.
+    deviation is the difference. The variance is count * share * (1 - share). A larger ratio is an outlier,
+    such as after a change of the floor. ``share`` is in units of 2**-32, and the result, as the dispersion,
+    in units of 2**-8. It is None where the variance is 0, in a batch without observations or for a share of
+    0, and where it is so small that it is rounded to 0.
     """
     variance = count * variance_of_observation(share)  # units of 2**-32
     largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8
-    # The square of the deviation at which the ratio is the largest. Both squares are in units of 2**-22, so
-    # that they fit 64 bits in the C.
-    largest_square = q22_from_q40(largest_ratio * variance)  # 2**-40 is 2**-8 times 2**-32
+    # The square of the deviation at which the ratio is the largest is a product with the unit 2**-40. Squares
+    # here have the unit 2**-22, so that they fit 64 bits in the C.
+    largest_square = q22_from_q40(largest_ratio * variance)
     if largest_square == 0:
         return None
-    deviation = q11_from_q32(abs(black_count * Q32_ONE - count * share))
-    square = deviation * deviation  # units of 2**-22, twice the exponent of the deviation's
+    deviation_q32 = abs(black_count * Q32_ONE - count * share)
+    deviation = q11_from_q32(deviation_q32)
+    square = deviation * deviation  # units of 2**-22, as the deviation has 2**-11
     limited_square = min(square, largest_square)
-    # The ratio is as large a part of the largest ratio as the square is of the largest square. This quotient
-    # is at most 1, as the C needs it, and limited_square / variance would not be.
+    # The ratio, limited_square / variance, may be above 1, which a quotient of the C cannot be. But it is as
+    # large a part of the largest ratio as the square is of the largest square, and that part is at most 1.
     fraction_of_largest = q32_quotient(limited_square, largest_square)
     return multiply_high(largest_ratio, fraction_of_largest)
 
@@ -365,8 +366,8 @@ def centre_after_huber_step(estimates: Sequence[int], centre: int, spread: int) 
     differences = [estimate - centre for estimate in estimates]
     limited_differences = [max(-spread, min(spread, difference)) for difference in differences]
     balance = sum(limited_differences)
-    # Where the centre moves up by 1, the balance falls by 1 for each estimate whose difference is not
-    # limited: their number is the slope.
+    # The slope: where the centre moves up by 1, the balance falls by 1 for each estimate whose difference is
+    # not limited.
     inside_count = sum(abs(difference) <= spread for difference in differences)
     slope = max(inside_count, 1)
     step = huber_step_size(abs(balance), slope)
@@ -433,7 +434,8 @@ def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, sprea
     share = q32_quotient(n, t)
     p = probability_of_black(robust.initial_b_hat, q32_from_q24(centre))
     variance = max(variance_of_observation(share), variance_of_observation(p))  # v
-    g_spread = multiply_high(slope_of_probability(robust.initial_b_hat), q32_from_q24(spread))
+    g = slope_of_probability(robust.initial_b_hat)
+    g_spread = multiply_high(g, q32_from_q24(spread))
     # Multiplied by t, so that v needs no division, and with g * spread on the left side, the inequality is
     #     t * ((n / t - p)**2 - 12 (g * spread)**2) > 12 * dispersion * v
     squared_difference = (share - p) ** 2
@@ -456,9 +458,9 @@ def is_supported(robust: RobustFilter, t: int, n: int, estimates: Sequence[int],
     p_of_centre = probability_of_black(robust.initial_b_hat, q32_from_q24(centre))
     supporter_count = 0
     for estimate in estimates:
-        p = probability_of_black(robust.initial_b_hat, q32_from_q24(estimate))  # by the estimate
-        distance_from_robot = abs(p - share)
-        distance_from_centre = abs(p - p_of_centre)
+        p_of_estimate = probability_of_black(robust.initial_b_hat, q32_from_q24(estimate))
+        distance_from_robot = abs(p_of_estimate - share)
+        distance_from_centre = abs(p_of_estimate - p_of_centre)
         if distance_from_robot < distance_from_centre:
             supporter_count += 1
     # supporter_count / len(estimates) > 2 / 5, without a division
@@ -516,7 +518,7 @@ def is_valid_initial_b_hat(robust: RobustFilter, b_hat: int) -> bool:
     Both are in units of 2**-32. Only a test makes them differ. A test takes five estimates, and it ends a
     batch of observations, so that the next batch begins at a ``batch_t`` above 0.
     """
-    has_enough_estimates = robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN
-    is_test_possible = has_enough_estimates and robust.batch_t > 0
     is_in_range = B_HAT_MIN <= robust.initial_b_hat <= B_HAT_MAX
-    return is_in_range and (is_test_possible or b_hat == robust.initial_b_hat)
+    has_enough_estimates = robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN
+    may_have_tested = has_enough_estimates and robust.batch_t > 0
+    return is_in_range and (may_have_tested or b_hat == robust.initial_b_hat)
