@@ -26,6 +26,7 @@ from mcp_asdf.robot import Filter, FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Health, Mode
 from mcp_asdf_tools.bus.frames import Command, Estimate, Heartbeat, Telemetry, decode_command
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED
 from mcp_asdf_tools.crosscheck import crafted_rounds
 from mcp_asdf_tools.radio import controller_link, robust_phases
@@ -1048,3 +1049,23 @@ def test_the_command_radio_ends_with_the_exit_code_of_a_signal_that_stops_a_veri
     monkeypatch.setattr("mcp_asdf_tools.cli.radio.stopping", stopping)
     assert radio(f"{CONTROLLER_OPTIONS} --verify --robots 5") == INTERRUPTED
     assert "INTERRUPTED: 0 of " in capsys.readouterr().out
+
+
+def test_the_command_radio_prints_a_verdict_whose_report_cannot_be_written(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The disk is full at the end of a run of one phase, "alone", which would be lost otherwise.
+
+    The exit code is 2.
+    """
+    short_verification = partial(Verification, phases=phases_named("alone"))
+    monkeypatch.setattr("mcp_asdf_tools.radio.verification.Verification", short_verification)
+    failing_write = Mock(side_effect=UsageError("the disk is full"))
+    monkeypatch.setattr("mcp_asdf_tools.common.files.write_atomically", failing_write)
+    report = tmp_path / "controller.md"
+    with node_in_a_thread(CONTROLLER_OPTIONS):
+        assert radio(f"{CONTROLLER_OPTIONS} --verify --robots 5 --timeout 20 --report {report}") == 2
+
+    output, errors = capsys.readouterr()
+    assert "PASSED: 1 of 1 phases passed" in output
+    assert "the disk is full" in errors
