@@ -8,8 +8,8 @@ Scenarios are the cross-check's random ones, which are heavy with edges; the dig
 
 A file is little-endian: the word MAGIC, how many scenarios follow (2 bytes), and these. A scenario is its
 digest (4), filter, kind of table and id (1 each), filter_period, memory and b_hat (4 each), calls, and a 0. A
-call is a code and its numbers; ``restore`` has how many numbers it replaces (1), and of each where it stands
-in the image (1), its size (1) and its bytes.
+call is a code and its numbers; ``restore`` has how many blocks of the image it replaces (1), and of each
+where it begins (1), its size (1) and its bytes.
 
 A digest covers the status of the making, of every call, and of the end (twice the messages accepted, and 1 if
 the invariants hold). After each of these but ``receive`` it covers x, x_bar, the saved image and what b_hat
@@ -131,9 +131,9 @@ def played(name: str) -> list[tuple[Scenario, bytes]]:
     room = max_bytes - _HEAD.size
     for number in range(tried_count):
         scenario = _playable(draw_scenario(seed, number))
-        has_table = scenario.setup.table in TABLES
+        is_table_in_images = scenario.setup.table in TABLES
         size = _size_of(scenario)
-        if has_table and size <= room:
+        if is_table_in_images and size <= room:
             chosen.append((scenario, _encode(scenario)))
             room -= size
     return chosen
@@ -165,23 +165,35 @@ def _encode(scenario: Scenario) -> bytes:
 
 
 def _encode_calls(scenario: Scenario) -> bytes:
-    places = places_of_numbers(scenario.setup.filter)
     encoded_calls = b""
     for call in scenario.calls:
         encoded_calls += bytes([_CODES.index(call.name)])
         if call.name == "restore":
-            encoded_calls += bytes([len(call.new_numbers)])
-            for name, value in call.new_numbers:
-                encoded_calls += _encode_new_number(places[name], value)
+            encoded_calls += _encode_new_numbers(call, scenario.setup.filter)
         else:
             encoded_calls += struct.pack(_LAYOUTS[call.name], *call.numbers)
     return encoded_calls
 
 
-def _encode_new_number(place: slice, value: int) -> bytes:
-    """Return where a number stands in an image, its size, and its bytes."""
-    size: int = place.stop - place.start
-    return bytes([place.start, size]) + value.to_bytes(size, "little")
+def _encode_new_numbers(restore: Call, filter_number: int) -> bytes:
+    """Return the numbers that a ``restore`` replaces in the image of a robot with this filter, as blocks.
+
+    Numbers that follow each other in the image are one block: so there is room for more scenarios.
+    """
+    places = places_of_numbers(filter_number)
+    new_bytes: dict[int, int] = {}  # by their index in the image
+    for name, value in restore.new_numbers:
+        place = places[name]
+        encoded_number = value.to_bytes(place.stop - place.start, "little")
+        new_bytes.update(zip(range(place.start, place.stop), encoded_number, strict=True))
+    blocks: list[tuple[int, bytearray]] = []  # the index of the first byte, and all bytes
+    for index, byte in sorted(new_bytes.items()):
+        if index - 1 not in new_bytes:
+            blocks.append((index, bytearray()))
+        _start, block = blocks[-1]
+        block.append(byte)
+    encoded_blocks = b"".join(bytes([start, len(block)]) + block for start, block in blocks)
+    return bytes([len(blocks)]) + encoded_blocks
 
 
 def content_made_anew(name: str) -> bytes:

@@ -132,15 +132,15 @@ static void receive(void)
     record_outcome(mcp_asdf_receive(&robot, sender, x_hat, read_number(4)), false);
 }
 
-/* Replace numbers in the robot's image, with a checksum that is right, and restore the robot from it. */
+/* Replace blocks of the robot's image, with a checksum that is right, and restore the robot from it. */
 static void restore(void)
 {
     mcp_asdf_save(&robot, image);
     for (uint32_t left = read_number(1); left > 0; --left) {
-        uint8_t *const number = &image[read_number(1)];
+        uint8_t *const block = &image[read_number(1)];
         const uint32_t size = read_number(1);
         for (uint32_t i = 0; i < size; ++i) {
-            number[i] = (uint8_t)read_number(1);
+            block[i] = (uint8_t)read_number(1);
         }
     }
     const uint8_t hash_index = (uint8_t)(image_word_count() - 1U);
