@@ -116,19 +116,9 @@ def agrees(part: str) -> bool:
 def print_row(stored: StoredExperiment, our_scores: Floats, p_values_of_scores: list[float]) -> None:
     """Print an experiment's parameters, the medians of H, ours and the other, and its p-values."""
     e = stored.experiment
-    print(
-        e.robots,
-        e.fill_ratio,
-        e.true_accuracy,
-        e.flawed_accuracy,
-        e.flawed,
-        e.filter_period,
-        e.filter,
-        end="",
-    )
-    for number in (np.median(our_scores[:, 2]), np.median(stored.scores[:, 2]), *p_values_of_scores):
-        print(f" {number:8.3g}", end="")
-    print()
+    place = (e.robots, e.fill_ratio, e.true_accuracy, e.flawed_accuracy, e.flawed, e.filter_period, e.filter)
+    medians_of_h = (np.median(our_scores[:, 2]), np.median(stored.scores[:, 2]))
+    print(*place, *(f"{number:8.3g}" for number in (*medians_of_h, *p_values_of_scores)))
 
 
 def main() -> int:

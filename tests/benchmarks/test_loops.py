@@ -72,15 +72,27 @@ def test_a_loop_that_is_left_at_its_beginning_tests_once_more_than_it_turns() ->
     assert count == before + 10 * 2 + last_test + after
 
 
-def test_an_inner_loop_turns_in_every_turn_of_the_outer_one() -> None:
-    """Instruction 2, of line 8, repeats itself within the loop of instructions 1 to 3, of line 7."""
-    graph = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
-    source_lines = {2: "a.c:8", 3: "a.c:7"}
+def test_a_loop_with_instructions_of_another_may_turn_as_often_as_the_one_that_turns_more_often() -> None:
+    """A compiler has moved instruction 1, of the loop in line 8, into the loop of line 7."""
+    graph = {0: [1], 1: [2], 2: [1, 3], 3: []}
+    source_lines = {1: "a.c:8", 2: "a.c:7"}
     bounds = {"a.c:8": Bound(turns=5, in_all=None), "a.c:7": Bound(turns=10, in_all=None)}
 
     count = count_longest_path(graph, source_lines, bounds)
 
-    turn_of_outer_loop = 1 + 5 + 1
+    before, after = 1, 1
+    assert count == before + 10 * 2 + after
+
+
+def test_an_inner_loop_turns_in_every_turn_of_the_outer_one() -> None:
+    """Instruction 2, of line 8, repeats itself within the loop of instructions 1 to 3, of line 7."""
+    graph = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
+    source_lines = {2: "a.c:8", 3: "a.c:7"}
+    bounds = {"a.c:8": Bound(turns=50, in_all=None), "a.c:7": Bound(turns=10, in_all=None)}
+
+    count = count_longest_path(graph, source_lines, bounds)
+
+    turn_of_outer_loop = 1 + 50 + 1
     before, after = 1, 1
     assert count == before + 10 * turn_of_outer_loop + after
 

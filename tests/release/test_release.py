@@ -124,12 +124,14 @@ def test_the_bill_of_materials_names_each_dependency_and_no_tool_of_the_tests(
 ) -> None:
     """It lists what users get: not what builds the project, but uplot, a script of ``mcp-asdf view``."""
     names = {component["name"] for component in bill_of_materials["components"]}
-    builders = {"scikit-build-core", "cffi", "hatch-fancy-pypi-readme"}
+    builders = {"scikit-build-core", "hatch-fancy-pypi-readme"}
     dependencies = {Requirement(text).name.lower() for text in requirements()}
     dependencies_of_users = dependencies - builders
 
     assert names >= {"uplot"} | dependencies_of_users
     assert names.isdisjoint({"pytest", "mypy", "ruff", "mkdocs", "cyclonedx-bom"})
+    needs = {entry["ref"]: entry["dependsOn"] for entry in bill_of_materials["dependencies"]}
+    assert set(needs["mcp-asdf"]) == dependencies_of_users
 
 
 @pytest.mark.slow
