@@ -173,10 +173,11 @@ def compare_firmwares(
     if is_robot_refused:
         return None
     for call_count, call in enumerate(scenario.calls, start=1):
-        record = CallRecord(scenario.setup, call, first_robot.last_result, first_robot.apply(call))
-        problems = differences(record.after, second_robot.apply(call))
+        before = first_robot.last_result
+        after = first_robot.apply(call)
+        problems = differences(after, second_robot.apply(call))
         if check_call is not None and not problems:
-            problems = check_call(record)
+            problems = check_call(CallRecord(scenario.setup, call, before, after))
         if problems:
             return Failure(scenario.first_calls(call_count), tuple(problems))
     return None

@@ -298,8 +298,9 @@ def _distances_to_try(test: _TestOfRound, groups: Sequence[tuple[int, ...]], roo
     single group hardly meets the threshold for one distance, but it does for one of many. For rounds of many
     estimates one or a few distances suffice.
     """
-    # At the threshold a move is about this share of the distance of the mean.
+    # If all groups are moved alike, at the threshold a move is about this share of the mean's distance.
     relative_move = sqrt(2**FRACTION_BITS / test.table_entry)
+    # The first group has the x_hat that is the farthest from the mean. It may be that much beyond the mean.
     largest_step = max(map(abs, groups[0]))
     max_distance = int(room / (1 + largest_step * relative_move))
     m = sum(map(len, groups))
@@ -337,23 +338,36 @@ def _x_hats_with_scatter(
     The scatter is the target or slightly above with ``is_at_least``, else the target or slightly below. A
     group has several x_hat, and says which multiples of a common move, of sum 0, lead from the mean to these.
     Each group in turn is moved by as much as is still missing, or as there is room for between 0 and 1.
-    Returns None if all groups together have too little room.
+    Returns None if there is no room to spare for the last group.
     """
     m = sum(map(len, groups))
-    x_hats: list[int] = []
+    moves: list[int] = []
     missing_scatter = target
     for group in groups:
         scatter_of_unit = m * sum(step**2 for step in group)  # of a move by 1; it grows with the square
-        room = min(mean // -min(group), (ONE - mean) // max(group))
-        move = min(isqrt(missing_scatter // scatter_of_unit), room)
+        largest_move_to_target = isqrt(missing_scatter // scatter_of_unit)
+        move = min(largest_move_to_target, _largest_move_in_range(mean, group))
         missing_scatter -= scatter_of_unit * move**2
-        x_hats += [mean + step * move for step in group]
-    # One unit more of the last move adds more than what is missing, unless there was no room for it.
-    if move == room:
+        moves.append(move)
+    last_group = groups[-1]
+    if moves[-1] == _largest_move_in_range(mean, last_group):
         return None
+    # The last move was limited by the target and not by its room. So one unit more leads beyond the target.
     if is_at_least and missing_scatter > 0:
-        x_hats[-len(group) :] = [mean + step * (move + 1) for step in group]
+        moves[-1] += 1
+    x_hats: list[int] = []
+    for group, move in zip(groups, moves, strict=True):
+        x_hats += [mean + step * move for step in group]
     return x_hats
+
+
+def _largest_move_in_range(mean: int, group: tuple[int, ...]) -> int:
+    """Return the largest move of a group away from this mean for which all of its x_hat are in 0 .. 1.
+
+    The group has the x_hat as multiples of the move, some above 0 and some below.
+    """
+    multiple_down, multiple_up = -min(group), max(group)
+    return min(mean // multiple_down, (ONE - mean) // multiple_up)
 
 
 def _is_float_test_wrong(robot: RobotState, rounds: RoundsAtThreshold) -> bool:
