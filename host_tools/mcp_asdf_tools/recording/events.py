@@ -274,7 +274,10 @@ class EventsReader:
         the line, for a malformed one.
         """
         for value in self._values:
-            yield InjectedFrame(value) if isinstance(value, str) else self._parse_robot_events(value)
+            if isinstance(value, str):
+                yield InjectedFrame(value)
+            else:
+                yield self._parse_robot_events(value)
 
     def error_in_line(self, text: str) -> UsageError:
         """Return a UsageError that names the line read last, and then says ``text``; the caller raises it."""

@@ -160,9 +160,10 @@ def verify(log: Iterable[can.Message], events: EventsReader) -> ReplayVerdict:
     if the log or the events cannot be read, or if the events contradict each other.
     """
     robots = _start_robots(events)
-    foreign_frames = Counter(
-        entry.text for entry in _apply_entries(events, robots) if isinstance(entry, InjectedFrame)
-    )
+    foreign_frames: Counter[str] = Counter()
+    for entry in _apply_entries(events, robots):  # which lets the robots run
+        if isinstance(entry, InjectedFrame):
+            foreign_frames[entry.text] += 1
     comparison = _Comparison(robots, foreign_frames, events)
     for frame_number, frame in enumerate(log, start=1):
         comparison.compare_frame(frame_number, frame)

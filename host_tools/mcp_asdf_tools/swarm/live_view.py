@@ -19,13 +19,13 @@ _SECONDS_BETWEEN_REFRESHES = 0.25
 
 
 class LiveView:
-    """Hook that shows how far a run is: on a terminal as a bar with the mean errors."""
+    """Hook that shows how far a run is: as a bar with mean errors on a terminal, else on standard error."""
 
     def __init__(self, console: Console, steps: int, baselines: Baselines | None = None) -> None:
         """Show a run of ``steps`` on ``console``, and the mean errors of ``baselines`` if there are any.
 
-        If it is no terminal, or one that cannot move its cursor, standard error gets the count of ticks, as
-        that of any long command. A quiet console and standard error get nothing.
+        The bar is for a terminal that can move its cursor. Otherwise the count of ticks goes to standard
+        error, as that of any long command. If the console is quiet, nothing is shown at all.
         """
         self._steps = steps
         self._baselines = baselines

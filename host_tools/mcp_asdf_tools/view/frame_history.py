@@ -80,8 +80,7 @@ class FrameRecorder:
             self._add_next_state(self._next_tick / STATES_PER_SECOND)
 
     def finish(self, now: float) -> None:
-        """End the history: add all missing states, a last one with the latest values, and a report."""
-        self.add_states(now)
+        """End the history at the time of the last frame: add a state with its values, and a report."""
         self._add_next_state(now)
         self.history.report = self.roster.report(now)
         self.history.has_ended = True

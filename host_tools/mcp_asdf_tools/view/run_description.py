@@ -28,9 +28,9 @@ _MAX_UNFILTERED_ROBOT_STEPS = 20_000_000
 def describe_swarm(settings: SwarmSettings) -> RunDescription:
     """Return the description of a swarm's run on an emulated bus, which is trial 0 of its world.
 
-    It has the errors without a filter, which are computed here by another run. That run has neither faults
-    nor refused ids, so it would be no fair comparison for a swarm that has them: it lacks the errors.
-    Raises UsageError if the arena cannot be made.
+    For a swarm without faults and refused ids it has the errors without a filter, which are those of another
+    run, computed here. That run has no faults and refuses no id, so it would be no fair comparison for other
+    swarms. Raises UsageError if the arena cannot be made.
     """
     faults = tuple((str(fault), fault.start, fault.stop) for fault in settings.faults)
     description = replace(_describe_emulated_run(settings, trial=0), faults=faults)

@@ -238,18 +238,19 @@ def test_a_log_of_frames_has_ended_and_has_a_report_on_its_robots(log_history: H
 def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the_time_of_its_robot(
     tmp_path: Path,
 ) -> None:
-    """``candump any`` writes frames of two buses out of order. The log's last frame is not the newest.
+    """``candump any`` writes frames of two buses out of order. The last frame of robot 7 is not its newest.
 
-    The log ends at 1003 s, when robot 7 is seen. If 1000.5 s, in the last line, counted, it would seem to
-    have been seen 2.5 s before.
+    It was seen at 1003 s, 1 s before the end of the log. If 1000.5 s, in a later line, counted, it would seem
+    to have been seen 3.5 s before the end.
     """
-    frame = encode(Estimate(sender=7, x_hat=0, alpha=1, transfer_id=0))
-    log = write_log(tmp_path / "any.log", {1000.0: frame, 1003.0: frame, 1000.5: frame})
-    report = record_log(log).history.report
+    frame_of_7 = encode(Estimate(sender=7, x_hat=0, alpha=1, transfer_id=0))
+    frame_of_9 = encode(Estimate(sender=9, x_hat=0, alpha=1, transfer_id=0))
+    frames = {1000.0: frame_of_7, 1003.0: frame_of_7, 1000.5: frame_of_7, 1004.0: frame_of_9}
+    report = record_log(write_log(tmp_path / "any.log", frames)).history.report
     assert report is not None
-    (row_of_robot_7,) = report["robots"]
+    row_of_robot_7, _row_of_robot_9 = report["robots"]
     seconds_since_last_frame = row_of_robot_7["seen"]
-    assert seconds_since_last_frame == 0.0
+    assert seconds_since_last_frame == 1.0
 
 
 def test_of_a_log_with_frames_of_two_buses_those_of_the_chosen_one_are_shown(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ from mcp_asdf_tools.view.run_histories import (
     recompute_swarm_history,
     recompute_trial_history,
     recorded_trial_history,
+    run_trial_history,
 )
 from mcp_asdf_tools.world.arena import Arena
 from support import slow
@@ -226,6 +227,19 @@ def test_the_chart_of_errors_also_has_the_errors_of_the_same_swarm_without_a_fil
         x, _x_hat, _b_hat, _true_accuracy = state.values
         mean_errors.append(abs(x - 0.55).mean())
 
+    assert errors_in_chart == np.round(mean_errors, 5).tolist()
+
+
+def test_the_errors_without_a_filter_beside_a_trial_are_those_of_this_trial() -> None:
+    """Trial 1 has other random numbers than trial 0. It is also run without a filter here, for comparison."""
+    experiment = Experiment(**PARAMETERS | {"filter": "asdf-minus", "steps": 60}, trials=2)
+    errors_in_chart = run_trial_history(experiment, trial=1).description.unfiltered_errors
+
+    trial_without_filter = run_trial_history(replace(experiment, filter="none"), trial=1)
+    mean_errors = []
+    for state in states_of(trial_without_filter):
+        x, _x_hat, _b_hat, _true_accuracy = state.values
+        mean_errors.append(abs(x - experiment.fill_ratio).mean())
     assert errors_in_chart == np.round(mean_errors, 5).tolist()
 
 

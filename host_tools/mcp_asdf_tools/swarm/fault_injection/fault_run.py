@@ -140,7 +140,8 @@ class FaultRun:
         receiver_of_frame: list[int] = []  # the one receiver of each corrupted frame
         for index, sent_frame in enumerate(hit.sent_frames):
             words_by_receiver = self._words_by_receiver(hit, index, words_per_receiver)
-            for receiver, (_hit_word, *words_for_bits) in words_by_receiver.items():
+            for receiver, words in words_by_receiver.items():
+                _hit_word, *words_for_bits = words
                 corrupted_frames.append(_with_bits_flipped(sent_frame, words_for_bits))
                 receiver_of_frame.append(receiver)
         _, robot_count = hit.receivers.shape
