@@ -57,8 +57,8 @@ def view_run(steps: int, with_baselines: bool, **console_options: Any) -> Viewed
         # Baselines come first, so that the view meets them after the same tick.
         hooks = [hook for hook in (baselines, view) if hook is not None]
         run_swarm(swarm, hooks)
-        mean_errors = {} if baselines is None else baselines.mean_errors()
-        return ViewedRun(output.getvalue(), mean_error(swarm), list(mean_errors.values()))
+    mean_errors = {} if baselines is None else baselines.mean_errors()
+    return ViewedRun(output.getvalue(), mean_error(swarm), list(mean_errors.values()))
 
 
 def pictures_of_bar(output: str) -> list[str]:
@@ -98,6 +98,12 @@ def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_
         f"mean error {viewed_run.mean_error:.4f}, no filter {error_without_filter:.4f}, "
         f"robust {error_with_robust_filter:.4f}"
     ) in last_picture
+
+
+def test_a_terminal_shows_its_cursor_again_after_the_progress_bar() -> None:
+    hide_cursor, show_cursor = "\x1b[?25l", "\x1b[?25h"
+    output = view_run_on_terminal(steps=20, with_baselines=False, width=80).output
+    assert output.index(hide_cursor) < output.index(show_cursor)
 
 
 def test_a_swarm_in_a_pipe_reports_its_ticks_on_standard_error(
