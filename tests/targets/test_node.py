@@ -367,6 +367,7 @@ WRONG_OPTIONS = [
     (f"{LOCKSTEP} --interface nocan7", "modprobe vcan\n  ip link add dev nocan7 type vcan\n"),
     (f"{LOCKSTEP} --interface udp:239.74.163.2", "Invalid argument; name a multicast group and a port"),
     (f"{LOCKSTEP} --interface udp:10.0.0.1:43113", "Invalid argument; name a multicast group and a port"),
+    (f"{LOCKSTEP} --interface udp:239.74.163.2:0", "Invalid argument; name a multicast group and a port"),
     (f"{LOCKSTEP} --interface udp:[ff15::1]:65536", "Invalid argument; name a multicast group and a port"),
     (f"{LOCKSTEP} --interface udp:239.74.163.2:9 --network no7", "No such device; name an interface that"),
     (ON_A_BUS + LOCKSTEP + " --network lo", "--network is lo; leave it out, or choose an --interface udp"),
