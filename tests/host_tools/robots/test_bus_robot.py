@@ -126,6 +126,22 @@ def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
     assert robot.telemetry(now=0.0).data == encoded(expected_telemetry).data
 
 
+def test_telemetry_is_numbered_from_0() -> None:
+    """The number is the frame's transfer id."""
+    robot = make_robot_5(comms_period=1)
+    assert [robot.next_telemetry().transfer_id for _ in range(3)] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(("b_hat", "sent_b_hat"), [(1.0, 2**24 - 2**4), (0.0, 2**4)])
+def test_telemetry_holds_a_b_hat_of_0_or_1_as_the_nearest_legal_one(
+    b_hat: float, sent_b_hat: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot that computes in float64 may have it. It is sent in units of 2**-24."""
+    robot = make_robot_5(comms_period=1)
+    monkeypatch.setattr(MirrorRobot, "b_hat", b_hat)
+    assert robot.next_telemetry().b_hat == sent_b_hat
+
+
 ESTIMATE_OF_6 = Estimate(sender=6, x_hat=9, alpha=0, transfer_id=0)
 ESTIMATE_OF_5 = replace(ESTIMATE_OF_6, sender=5)
 HEARTBEAT_OF_8 = Heartbeat(sender=8, uptime=1, transfer_id=0)

@@ -345,12 +345,13 @@ def test_a_node_that_a_driver_commands_for_40_ticks_reports_the_frames_that_it_s
     }
 
 
-def test_a_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_node_reports_its_setup_its_bus_and_why_it_ended(capsys: pytest.CaptureFixture[str]) -> None:
     """Robot 5 is run for 40 ticks, with the options ``--b-hat 0.7`` and ``--comms-period 2`` among others."""
     run_robot_5_for_40_ticks()
     report = json.loads(capsys.readouterr().out)
 
     assert report["parameters"]["robot"] == setup_of_robot(5, "native", b_hat=0.7, comms_period=2).plain()
+    assert report["bus"]["interface"] == "virtual"
     assert report["results"]["ending"] == "all ticks done"
     assert report["results"]["steps"] == 40
 
