@@ -371,6 +371,17 @@ def test_a_file_in_the_present_format_with_records_as_in_format_5_is_refused(pat
         read_table(path)
 
 
+def test_a_column_that_another_program_has_added_stays_behind_the_others(path: Path) -> None:
+    """The other program has put it first."""
+    table = valid_results_table()
+    pq.write_table(table.add_column(0, "remark", pa.array(["mine"] * len(table))), path)
+
+    read = read_table(path)
+
+    assert read.column_names == [*table.column_names, "remark"]
+    assert read["remark"].to_pylist() == ["mine"] * len(table)
+
+
 def with_column(name: str, values: object) -> pa.Table:
     """Return results in which a column has other values."""
     return replace_column(valid_results_table(), name, values)

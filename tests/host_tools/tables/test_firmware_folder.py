@@ -395,6 +395,17 @@ def test_a_file_of_an_earlier_version_is_replaced(folder: Path) -> None:
     assert file.read_bytes() == new_text
 
 
+def test_files_that_are_as_the_command_would_write_them_need_no_checksums(folder: Path) -> None:
+    """Somebody has deleted the checksums; the command writes them again."""
+    checksums = folder / "sha256sums.txt"
+    text = checksums.read_text()
+    checksums.unlink()
+
+    write_firmware_folder(folder)
+
+    assert checksums.read_text() == text
+
+
 def test_a_table_of_somebody_else_is_not_deleted(folder: Path) -> None:
     """The command deletes other tables only if it has written them. Here it is refused, with exit code 2."""
     (folder / "t_table_ours.c").write_text("/* ours */")
