@@ -125,6 +125,8 @@ def alpha_word_from_float(alpha: float) -> int:
 def add_estimate(sums: Sums, x_hat: int, alpha: int) -> None:
     """Add a received estimate to the sums of a round, which change, and count it there.
 
+    These are the sums of alpha, alpha x_hat, x_hat and x_hat**2.
+
     ``x_hat`` is the estimated share of black tiles in units of 2**-23. ``alpha`` is its confidence as an
     alpha word: a mantissa in bits 8 to 31 and a shift in bits 0 to 4. An estimate without confidence, whose
     mantissa is 0, changes nothing and is not counted.

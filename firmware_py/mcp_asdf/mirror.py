@@ -130,6 +130,7 @@ class Accuracy:
 def square_of_ratio(g: int, p: int) -> int:
     """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
     # divide_24 takes numbers of 31 bits. The ratio of the halves is the same.
+    # divide_24 takes numbers of 31 bits. Halving both leaves their ratio, but for the lowest bits.
     half_of_g = g >> 1
     half_of_p = p >> 1
     ratio_q24 = divide_24(half_of_g, half_of_p)
@@ -238,7 +239,7 @@ def confidence_inside(
 ) -> Confidence:
     """Return alpha, the confidence, where 0 < x_hat < 1 (eq. 4, last case).
 
-    With d = g**2, and with n of t observations of the rarer colour, which changes nothing, that case is
+    With d = g**2, that case is, with n of t observations of either colour,
 
         alpha = d t**3 / (n (t - n)) = (g t)**2 t / (n (t - n))
 
@@ -639,6 +640,7 @@ class MirrorRobot(FixedPointView):
         s.accepted = next_count(s.accepted)
         has_confidence = alpha_units(alpha) > 0
         if not self.is_robust:
+            # It leaves out an estimate without confidence by itself.
             add_estimate(s.open, x_hat, alpha)
         elif has_confidence:
             keep_estimate(s.robust, s.estimates, sender, x_hat)

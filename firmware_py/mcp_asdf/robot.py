@@ -346,7 +346,7 @@ class FixedPointRobot(Robot, Protocol):
 def check_settings(config: Config) -> None:
     """Raise FirmwareError (ERR_CONFIG) for a filter, filter period or memory that the firmware would refuse.
 
-    The table is not checked here but in `check_table`.
+    The memory must be a multiple of 4. The table is not checked here but in `check_table`.
     """
     period = config.filter_period
     memory = config.memory

@@ -483,6 +483,7 @@ def are_valid_votes(robust: RobustFilter) -> bool:
     """
     if robust.votes == 0:
         return (robust.centre, robust.spread, robust.turn) == (CENTRE_START, SPREAD_MAX, 0)
+    # After the vote of a slot the turn is one more than the slot's index.
     is_after_filled_slot = 1 <= robust.turn <= SLOTS and robust.is_filled(robust.turn - 1)
     return (
         robust.votes <= VOTES_MAX

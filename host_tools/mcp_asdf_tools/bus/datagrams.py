@@ -55,6 +55,7 @@ def _are_fields_of_data_frame(fields: object) -> bool:
     for name, kind in _TYPE_BY_FIELD.items():
         if type(fields[name]) is not kind:
             return False
+    # Nobody reads these, but a datagram with another type in them is none of python-can's.
     for name in _IGNORED_FIELDS:
         if type(fields[name]) not in _TYPES_OF_IGNORED_FIELDS:
             return False

@@ -227,6 +227,7 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     neighbours = MAX_ID if args.neighbours is None else args.neighbours
     if not 2 <= neighbours <= MAX_ID:
         raise UsageError(f"--neighbours is {neighbours}; it must be 2 to {MAX_ID}")
+    # Made as a robot of a swarm is, so that the options mean the same as those of the command swarm.
     population = _population_around_robot(args, neighbours)
     robot_in_population = 0  # the flawed robot: flawed ones are the first by id
     config = population.config(robot_in_population)

@@ -86,8 +86,7 @@ def _plot_keywords(args: argparse.Namespace) -> dict[str, Any]:
             keywords[option_name] = value
     for option in options.typed_limit_options(args):
         _check_kind_has(args.kind, "limits", option)
-        # Only scores are relative to the limits. Besides the scores y may be K or e, which are steps and
-        # errors.
+        # The limits scale the scores only. Where y is K or e, a curve shows steps or errors instead.
         y = keywords.get("y", "H")  # without --y a curve shows H
         if y not in SCORES:
             raise UsageError(f"{option} would do nothing: it is for scores, and y is none; leave it out")

@@ -47,6 +47,7 @@ def _check_filter(record: CallRecord, audit: Audit) -> list[str]:
         if not _test_rejects(record):
             return check_whether_updated(record.is_updated, expected=False)
     new_state = record.new_state
+    # The mean of the neighbours' x_hat in the round that has ended, of which ONE is an x_hat of 1.
     x_bar = Fraction(_closed_alpha_x(new_state), new_state["closed_alpha"] * ONE)
     return audit.check_b_hat(record, x_bar)
 

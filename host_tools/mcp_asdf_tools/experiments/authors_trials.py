@@ -141,6 +141,7 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
 def _trial_number(file: _TrialFile, experiment: Experiment) -> int:
     """Return the number of the trial in a file. Raises UsageError if the experiment has no such trial."""
     number = file.number("trial_ind")
+    # A range holds no number with a fraction.
     if number not in range(experiment.trials):
         raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
     return int(number)

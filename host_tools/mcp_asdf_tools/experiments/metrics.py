@@ -43,7 +43,7 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
 def _is_near_all_later(
     chunk: NDArray[Any], lowest_after: float, highest_after: float, delta: float
 ) -> NDArray[np.bool_]:
-    """Return for each value of a chunk whether it is within ``delta`` of all values after it.
+    """Return for each value of a chunk whether it is less than ``delta`` from all values after it.
 
     ``lowest_after`` and ``highest_after`` are the extremes of the values after the chunk.
     """

@@ -138,6 +138,7 @@ def run_jobs(jobs: Iterator[Job], workers: int, scheduler: str | None = None) ->
     if scheduler is not None:
         from mcp_asdf_tools.experiments.cluster import connect_cluster  # noqa: PLC0415 (Dask loads slowly)
 
+        # The cluster is asked again and again for its threads: workers may join and leave meanwhile.
         with connect_cluster(scheduler) as (executor, count_threads):
             yield from _run_on_executor(executor, count_threads, jobs)
     elif workers == 1:

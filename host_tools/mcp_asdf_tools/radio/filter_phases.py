@@ -68,6 +68,7 @@ def re_estimate_to_half(bench: Bench) -> None:
     observe_until_excess_of_black(bench, 0)
     if state.t < _SMALL_COUNT:
         _test_with_divisor_below_1(bench)
+    # With as many black tiles as white ones eq. 8 gives a b_hat of 1/2, whatever the estimates are.
     _play_update(bench, Update.HALF)
     _observe_three_times_without_knowledge(bench)
 

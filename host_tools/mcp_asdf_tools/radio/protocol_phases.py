@@ -389,7 +389,7 @@ def receive_malformed(bench: Bench) -> None:
         for name, change_frame in MALFORMED.items():
             sender, other_sender = bench.rng.sample(bench.other_ids, 2)
             frames = _encode_random_estimates(bench, [sender, sender, other_sender])
-            change_frame(frames[0], bench.rng)
+            change_frame(frames[0], bench.rng)  # which changes the frame itself
             bench.play_round_of_frames(name, frames)
     _send_telemetry_and_heartbeats(bench)
 

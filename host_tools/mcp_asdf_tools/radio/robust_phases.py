@@ -450,6 +450,7 @@ def _observe_until_crafted(bench: Bench, craft: Callable[[], Crafted | None]) ->
         crafted = craft()
         if crafted is not None:
             return crafted
+        # No estimates contradict the observations more than this one in every slot.
         can_test_reject = _would_reject(bench, [_most_contradicting_estimate(bench)] * SLOTS)
         colour = _rarer_colour(bench) if can_test_reject else _more_frequent_colour(bench)
         bench.skip_ticks(BURST, partial(Observation, colour))

@@ -167,11 +167,12 @@ def _schedule_faults(phases: Sequence[Phase], ticks: int) -> list[Fault]:
 
     Only the phases among neighbours count, which have ``ticks`` ticks each, one after the other.
     """
+    # The other phases have a function that plays them.
     phases_among_neighbours = [phase for phase in phases if phase.play is None]
     faults = []
     for index, phase in enumerate(phases_among_neighbours):
         first_tick = index * ticks
-        for fault_text in phase.fault.split():
+        for fault_text in phase.fault.split():  # one or more, with spaces in between
             fault = parse_fault(fault_text)
             faults.append(replace(fault, start=first_tick, stop=first_tick + ticks))
     return faults

@@ -89,6 +89,7 @@ def _frame_of_console_line(match: re.Match[str]) -> can.Message | None:
     """
     length_text = match["length"] or ""
     if match["remote"] is not None:
+        # It asks for so many bytes, and has none itself.
         return _make_frame(match, remote_length=int(length_text or 0))
     hex_digits = "".join((match["data"] or "").split())
     byte_count = len(hex_digits) // 2

@@ -284,6 +284,7 @@ class Carrier:
         carrier_connection = self._connect_carrier(robots, bus, on_frame)
         for robot in robots:
             self.bus_connections[robot] = carrier_connection
+            # A robot in this process sends and reads over the same connection.
             if not are_robots_remote:
                 self._robot_connections[robot] = carrier_connection
 

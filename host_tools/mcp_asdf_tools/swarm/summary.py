@@ -118,6 +118,7 @@ def _sentence_on_flawed_robots(changes: dict[str, dict[str, float]], settings: S
     ``changes`` has their mean b_hat before and after, by the term of each filter that recalibrates.
     """
     # All swarms begin with the same robots, so any of them has the same b_hat before.
+    # The filters start with the same robots, so that each has the same mean b_hat before.
     any_change, *_ = changes.values()
     present_b_hats = [f"{term} {change['after']:.2f}" for term, change in changes.items()]
     # Sensors that age have no one true accuracy.

@@ -89,7 +89,8 @@ def generate(omega: Decimal, q: int) -> Table:
     q = check_q(q)
     with mp.workdps(_DECIMAL_DIGITS):
         exact_thresholds = true_thresholds(omega)[: q - 1]  # for m = 2 .. q
-        common_threshold = _threshold(_normal_quantile(omega), q + 1)  # for all m above q
+        # One more threshold serves all m above q. It is that of a normal distribution at m = q + 1.
+        common_threshold = _threshold(_normal_quantile(omega), q + 1)
         # In units of 2**-26, rounded to the nearest.
         entries = [
             int(mp.nint(mp.ldexp(threshold, FRACTION_BITS)))

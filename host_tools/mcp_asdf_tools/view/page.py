@@ -31,7 +31,7 @@ def make_page(history: History | None = None) -> str:
     """
     if history is None:
         return assemble_page(None)
-    update = history.states_since()
+    update = history.states_since()  # the first one and all that follow
     content = {
         "description": encode_description(update.description),
         "block": encode_states(update.states, update.description),
@@ -178,6 +178,7 @@ def _encode_series(values: NDArray[np.float64]) -> bytes:
     scaled_values = np.rint(np.clip(values, 0.0, 1.0) * _INTEGER_FOR_ONE)
     integers = np.nan_to_num(scaled_values, nan=_INTEGER_FOR_UNKNOWN).astype(np.uint16)
     integers_by_robot = integers.T  # shape (N, states)
+    # Differences of unsigned integers wrap around, and so are modulo 65536.
     differences = np.diff(integers_by_robot, axis=1, prepend=np.uint16(0))
     return differences.astype("<u2").tobytes()
 

@@ -198,7 +198,10 @@ class _CurvePlot:
             self._draw_curve(axes, series, position_by_x)
 
     def _draw_curve(self, axes: Axes, series: Series, position_by_x: Mapping[Any, Any]) -> None:
-        """Draw a curve through the medians of a series, which need not have trials at every x."""
+        """Draw a curve through the medians of a series, and a band of their confidence intervals around it.
+
+        The series need not have trials at every x.
+        """
         samples = {
             shown_value(trials.experiment, self.x): self._measure(trials) for trials in series.experiments
         }
