@@ -288,7 +288,7 @@ def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> 
 def _csv_columns_of(comparison: Comparison) -> list[str]:
     """Return the texts of a comparison in CSV_COLUMNS, from "cells" to "holds".
 
-    Between these are what is expected, the size of the effect, and its value with an interval from low to high.
+    Between these are what is expected, the size of the effect, and its value with the ends of its interval.
     """
     text_of_outcome = {True: "yes", False: "no", None: "open"}
     numbers = (comparison.size, *comparison.interval)  # value, low and high
