@@ -91,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
     results = _results_of(node, plan.robot_setup, outcome)
     if args.json:
         print(json_report(_report_of(plan, results)))
+    # --quiet also leaves out the line that repeats the run.
     elif not args.quiet:
         print(_format_summary(node, results, str(plan.bus_choice)))
         print_again(args)

@@ -225,6 +225,7 @@ def _run_missing_trials(stores: Mapping[StoreKey, Store], workers: int, args: ar
         print(f"{missing_count} trials to run", file=sys.stderr)
     with reporting_missing_trials(list(stores.values())):
         for (study_part, users_name), store in stores.items():
+            # The store of the paper's own filters has no name of a user.
             label = f"{study_part.value} {users_name}".rstrip()
             with progress(f"{label}: trials", store.missing_count, args.json) as report_progress:
                 run_sweep(store, workers, report_progress, args.scheduler)

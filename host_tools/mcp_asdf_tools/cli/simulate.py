@@ -63,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
     experiment = experiments[0]
     workers = options.workers_of(args)
     limits = options.limits_of(args)
+    # Worker processes would take longer to start than such a run takes.
     if _is_short(experiment):
         workers = 1
     if args.output is not None:

@@ -166,6 +166,7 @@ def compare_firmwares(
     """
     first_robot = RobotUnderTest(first, scenario.setup)
     second_robot = RobotUnderTest(second, scenario.setup)
+    # Before any call: the states of the new robots, or the errors by which they were refused.
     problems = differences(first_robot.last_result, second_robot.last_result)
     if problems:
         return Failure(scenario.first_calls(0), tuple(problems))

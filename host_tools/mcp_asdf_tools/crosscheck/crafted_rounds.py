@@ -252,6 +252,7 @@ def draw_x_hats_at_threshold(
     for distance in _distances_to_try(test, groups, distance_share * room):
         mean = own_x_hat + direction * distance
         largest_rejected_scatter = test.largest_rejected_scatter(m * distance)
+        # One unit of scatter decides between the two rounds.
         passed_rounds.append(_x_hats_with_scatter(mean, groups, largest_rejected_scatter + 1, True))
         rejected_rounds.append(_x_hats_with_scatter(mean, groups, largest_rejected_scatter, False))
     passed = test.nearest_to_threshold(passed_rounds)

@@ -152,6 +152,7 @@ def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection
             value_on_axis: int = getattr(workload, axis)
             for label, count in _count_calls(workload, firmware).items():
                 count_by_value = counts[label][axis]
+                # Of several workloads with the same value the costliest counts.
                 count_by_value[value_on_axis] = max(count, count_by_value.get(value_on_axis, 0))
     return counts
 

@@ -237,6 +237,7 @@ class RobustScenarioWriter(ScenarioWriter):
         robot = State(self._setup.robot_id, accuracy_of(initial_b_hat), filter_left=1, t=t, n=n)
         robot.robust.initial_b_hat = initial_b_hat
         robot.robust.filled_slots = self._draw_filled_slots()
+        # Only estimates that are kept vote.
         if robot.robust.filled_slots:
             robot.robust.votes = self._rng.choice(_VOTE_COUNTS)
         if robot.robust.votes > 0:
@@ -297,6 +298,7 @@ class RobustScenarioWriter(ScenarioWriter):
         """
         rng = self._rng
         white_count = robot.t - robot.n
+        # The batch has no more observations of a colour than the robot has made in all.
         smallest_black_count = max(batch_count - white_count, 0)
         largest_black_count = min(batch_count, robot.n)
         expected_black_count = batch_count * robot.n // robot.t

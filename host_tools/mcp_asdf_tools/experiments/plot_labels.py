@@ -123,6 +123,7 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     all_parameters = [_effective_parameters(trials.experiment) for trials in experiments]
     for name in _CAPTION_PARAMETERS:
         values = {parameters[name] for parameters in all_parameters if name in parameters}
+        # One that differs is named in the legend or in the titles of the panels.
         if len(values) == 1:
             details.append(f"{name.replace('_', ' ')} {format_for_legend(values.pop())}")
     details.append(f"{_describe_trial_counts(experiments)} trials of each experiment")

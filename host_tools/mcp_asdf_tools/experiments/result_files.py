@@ -193,6 +193,7 @@ class RowGroups:
         for row_group in self._row_groups:
             parameters = row_group.read(PARAMETER_NAMES)
             for experiment, rows_in_group in rows_by_experiment(parameters).items():
+                # Trials are written as they end, so that an experiment may have rows in several groups.
                 row_arrays.setdefault(experiment, []).append(row_group.first_row + rows_in_group)
         return {experiment: np.concatenate(arrays) for experiment, arrays in row_arrays.items()}
 

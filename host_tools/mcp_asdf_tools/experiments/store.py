@@ -235,6 +235,7 @@ class Store:
         Raises UsageError if the part cannot be written.
         """
         table = trials_to_table(trials)
+        # Rows are numbered through the parts on disk and the tables in memory.
         first_row = self._row_groups.row_count + self._unwritten_row_count
         new_rows = np.arange(first_row, first_row + len(table))
         self._set_rows(trials.experiment, np.array(trials.numbers), new_rows)

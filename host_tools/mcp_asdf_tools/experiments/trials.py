@@ -155,6 +155,7 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
         Values by the name of each quantity, shape (trials, samples + 1, N).
     """
     initial_b_hat = [b_hat_to_raw(experiment.b_hat(robot)) / 2**32 for robot in range(experiment.robots)]
+    # Of a robot that has neither observed nor received anything.
     initial_values: dict[str, Any] = {"t": 0, "n": 0, "alpha": 0, "beta": 0}
     initial_values |= {"x_hat": 0.5, "x_bar": 0.5, "x": 0.5, "b_hat": initial_b_hat}
     trial_count, sample_count, robots = raw_records.shape

@@ -99,6 +99,7 @@ class RadioRun:
             "estimates_heard": self.estimate_count,
             "strangers": self.foreign_count,
             "error_frames": self.error_frame_count,
+            # Keys of JSON are texts.
             "id_conflicts": {str(sender): count for sender, count in self.id_conflicts.items()},
             "bus_failures": self.link.failures,
             "faults": self.neighbours.faults.figures(),
@@ -138,6 +139,7 @@ class RadioRun:
             self.estimate_count += 1
             self._controller_frames.append(frame)
         elif estimate.sender in [neighbour.id for neighbour in self.settings.neighbours]:
+            # Another node uses the id of an emulated neighbour.
             self.id_conflicts[estimate.sender] += 1
         else:
             self.foreign_count += 1

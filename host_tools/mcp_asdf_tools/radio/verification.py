@@ -156,8 +156,10 @@ def _choose_phases(settings: RadioSettings, phases: Sequence[Phase]) -> list[Pha
     chosen_phases = []
     for phase in phases:
         if phase.applies(settings.controller):
+            # The user chooses all ids, so that the texts of faults cannot have them.
             fault = phase.fault.format(me=settings.controller.id, them=all_neighbours, one=neighbour_ids[0])
             chosen_phases.append(replace(phase, fault=fault))
+    # The faults that the user has asked for come last.
     phases_of_settings = [Phase(fault.name, fault=str(fault)) for fault in settings.faults]
     return chosen_phases + phases_of_settings
 
@@ -260,6 +262,7 @@ class Verification:
             self._add_untested_cases()
         except KeyboardInterrupt:
             verdict.is_interrupted = True
+        # These say nothing about the controller.
         except (BusDisturbed, can.CanError) as error:
             verdict.disturbance = self._end_phase(DISTURBED, str(error))
         except ControllerDiffers as error:

@@ -218,6 +218,7 @@ class RobotNode(BusRobot):
           kind), ``sender`` and ``estimates`` (how many came).
         """
         events = []
+        # A list, since keys of JSON are single texts.
         for (kind, sender), count in self.reception.events.items():
             events.append({"event": kind.value, "sender": sender, "estimates": count})
         return {

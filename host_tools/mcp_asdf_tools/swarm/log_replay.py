@@ -61,6 +61,7 @@ def replay_values(
     for tick, values_by_robot in enumerate(_replay_ticks(events, max_ticks, quantities), start=1):
         if tick % spacing == 0:
             rows_by_robot = [values_by_robot.get(setup.id, unknown_values) for setup in setups]
+            # Transposed, so that a row has the values of a quantity.
             yield np.array(rows_by_robot).T
 
 

@@ -218,6 +218,7 @@ def _report_row(robot_id: int, robot: RobotOnBus, now: float) -> dict[str, Any]:
     b_hat and updates before the first telemetry.
     """
     heartbeat, telemetry = robot.heartbeat, robot.telemetry
+    # At least 1, since a robot is listed from its first frame on.
     sent_frames = robot.lost_frames + robot.received_frames
     return {
         "robot": robot_id,

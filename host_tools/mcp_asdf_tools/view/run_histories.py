@@ -213,6 +213,7 @@ def _recorded_states(trials: Trials, trial: int) -> Iterator[State]:
     experiment = trials.experiment
     true_accuracies = np.full(experiment.robots, experiment.true_accuracy)
     least_spacing = steps_between_states(experiment.steps, experiment.robots)
+    # Only samples that were recorded can be shown, so the spacing is a multiple of their interval.
     samples_between_states = math.ceil(least_spacing / trials.sampling_interval)
     ticks_between_states = samples_between_states * trials.sampling_interval
     estimates_by_state = _recorded_estimates(trials, trial)[::samples_between_states]

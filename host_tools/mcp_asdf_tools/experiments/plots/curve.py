@@ -161,11 +161,13 @@ class _CurvePlot:
         """Draw a panel for each value of the parameter ``facet``, or a single one if it is empty."""
         all_series = _series_by_hue(self.experiments, self.hue)
         facet_values = shown_values(self.experiments, facet) if facet else [None]
+        # A picture of a single panel may be higher.
         panel_height = 2.6 if len(facet_values) > 1 else 3.8
         figure, panels = create_panels(len(facet_values), panel_height, len(all_series))
         for axes, value in zip(panels, facet_values, strict=True):
             series_of_panel = all_series
             if facet:
+                # Of every series, so that each has the same colour in all panels.
                 series_of_panel = [series.select(**{facet: value}) for series in all_series]
                 axes.set_title(parameter_with_value(facet, value), fontsize=MEDIUM)
             self._draw_curves(axes, series_of_panel)
@@ -192,6 +194,7 @@ class _CurvePlot:
         x_values = shown_values(self.experiments, self.x)
         position_by_x = {x: x for x in x_values}
         if any(isinstance(x, str) and len(x) > MAX_LABEL_LENGTH for x in x_values):
+            # Long texts would cover each other, so that their places are numbered.
             position_by_x = {x: index for index, x in enumerate(x_values)}
             axes.set_xticks(range(len(x_values)), [shorten(x) for x in x_values])
         for series in series_of_panel:
