@@ -246,6 +246,7 @@ def test_a_curve_can_be_drawn_into_axes_of_the_user(unfiltered_swarms: list[Tria
     assert returned_figure is figure
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("share of flawed robots", "error_of_first_robot")
     assert axes.get_legend() is None
+    assert not axes.spines["top"].get_visible()  # as in all pictures
 
 
 def test_axes_of_the_user_get_a_legend_if_several_curves_are_drawn(

@@ -33,6 +33,7 @@ from mcp_asdf_tools.experiments.plots.curve import plot_curve
 from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
 from mcp_asdf_tools.experiments.results import Trials, select_experiments
 from mcp_asdf_tools.experiments.scores import Limits
+from mcp_asdf_tools.experiments.trials import run_trials
 
 LIMITS_OF_SCORES = Limits(k_max=200, e_max=0.4)
 FLAWED_AND_ACCURACIES = ((0, 0.95), (2, 0.55), (2, 0.75), (4, 0.55))
@@ -385,6 +386,14 @@ def test_a_second_series_of_the_robust_filter_gets_a_colour_that_no_filter_has(
     colours = [handle.get_color() for handle in legend.get_lines()]
     asdf_minus_colour, asdf_plus_colour, _robust_colour, further_colour, *_ = COLOURS
     assert colours == [GREY, asdf_minus_colour, asdf_plus_colour, GREEN, further_colour]
+
+
+def test_the_caption_has_the_limits_of_convergence_of_all_swarms() -> None:
+    """By default K_max is the number of steps, which is 100 in one swarm and 200 in the other."""
+    swarms = []
+    for steps in (100, 200):
+        swarms.append(run_trials(Experiment(robots=4, steps=steps, filter_period=50), first=0, trials=2))
+    assert "$K_{max}$ = 100 and 200, " in caption_of(plot_boxes(swarms))
 
 
 def test_the_caption_has_omega_only_if_a_filter_uses_it(results_by_filter: dict[str, Trials]) -> None:

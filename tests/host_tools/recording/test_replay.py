@@ -283,6 +283,23 @@ def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
     )
 
 
+def test_a_wrong_broadcast_is_compared_with_that_of_its_transfer_id_behind_a_gap_of_the_log(
+    tmp_path: Path,
+) -> None:
+    """The log lacks the first of two broadcasts of robot 5, and alpha is wrong in the second one."""
+    with events_file(events_path(tmp_path / "x"), HEADER_OF_ROBOT_5) as writer:
+        robot = BusRobot(setup_of_robot(robot=5), FrameFormat(), writer.recorders[5])
+        robot.observe(Observation.BLACK)
+        robot.broadcast(0)
+        robot.settle()
+        robot.observe(Observation.BLACK)
+        second_broadcast = robot.broadcast(1)
+    verdict = replay([with_flipped_bit(second_broadcast, LOWEST_BIT_OF_ALPHA)], events_beside=tmp_path / "x")
+
+    assert verdict.difference is not None
+    assert "transfer_id 1, but in tick 2 it makes" in verdict.difference
+
+
 def test_a_broadcast_that_is_twice_in_a_log_is_a_difference(tmp_path: Path) -> None:
     """Robot 5 has observed once, and so makes one broadcast. Replay reports the second one in the log."""
     broadcast = write_events_and_return_broadcast(tmp_path / "x")
