@@ -127,7 +127,8 @@ def _spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
 def largest_of_resampled(statistics: Sequence[Resampled]) -> Resampled:
     """Return the largest of several statistics: of their values, and again of each of their resamples."""
     value = max(statistic.value for statistic in statistics)
-    return Resampled(value, np.max([statistic.resamples for statistic in statistics], axis=0))
+    resamples = np.array([statistic.resamples for statistic in statistics])  # a row for each statistic
+    return Resampled(value, resamples.max(axis=0))
 
 
 def mean_of_resampled(statistics: Sequence[Resampled]) -> Resampled:
