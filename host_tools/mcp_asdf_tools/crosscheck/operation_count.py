@@ -66,8 +66,13 @@ def count_instructions(action: Callable[[], object]) -> int:
             if count > _MAX_INSTRUCTIONS:
                 raise _CutShortError
         elif event == "call":
+            # Set before the next line, as Python 3.13 sends these events only to a frame that is traced.
+            frame.f_trace = trace
             frame.f_trace_opcodes = True  # asks for an event at every instruction of this function
             frame.f_trace_lines = False  # and for none at its lines
+            if count == 0:
+                # Python 3.12 sends none before the trace function is set while some frame asks for them.
+                sys.settrace(trace)
         return trace
 
     # A debugger or a coverage tool may have set a trace function, too.

@@ -26,6 +26,7 @@ from mcp_asdf_tools.crosscheck.operation_count import (
     workloads_along,
 )
 from mcp_asdf_tools.crosscheck.workloads import RobustWorkload, Workload
+from support import run
 
 # --- Counting --------------------------------------------------------------------------------------------
 
@@ -45,6 +46,17 @@ def test_each_turn_of_a_loop_takes_as_many_instructions_as_the_others() -> None:
     assert without_a_turn > 0
     assert instructions_of_a_turn > 0
     assert with_ten_turns == without_a_turn + 10 * instructions_of_a_turn
+
+
+def test_the_first_instructions_that_a_process_counts_are_counted_in_full() -> None:
+    """Some versions of Python begin to tell of instructions only when they have been asked once before."""
+    program = (
+        "from mcp_asdf_tools.crosscheck.operation_count import count_instructions\n"
+        "def add(): return (lambda number: number + 1)(2)\n"
+        "print(count_instructions(add), count_instructions(add))"
+    )
+    first_count, second_count = run(sys.executable, "-c", program).split()
+    assert first_count == second_count
 
 
 def test_a_call_without_end_is_cut_short_after_20_000_instructions() -> None:
