@@ -388,13 +388,13 @@ def _run_with_progress(
 
     The ``baselines`` run beside it, and the ``recorder`` gets its states, if there are any.
     """
-    from mcp_asdf_tools.swarm.live_view import LiveView
+    from mcp_asdf_tools.swarm.live_view import live_view
     from mcp_asdf_tools.swarm.run import run_swarm
 
     # A signal counts between two ticks, so that log and results end on a whole one.
-    with LiveView(plan.console, swarm.settings.steps, baselines) as live_view, stopping() as should_stop:
+    with live_view(plan.console, swarm.settings.steps, baselines) as show_tick, stopping() as should_stop:
         # Baselines come first, since the live view shows their errors after the same tick.
-        hooks = [hook for hook in (baselines, recorder, live_view) if hook is not None]
+        hooks = [hook for hook in (baselines, recorder, show_tick) if hook is not None]
         return run_swarm(swarm, hooks, should_stop)
 
 

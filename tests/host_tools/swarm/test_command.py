@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import signal
+from contextlib import nullcontext
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,7 @@ from mcp_asdf_tools.bus import slcan_server
 from mcp_asdf_tools.bus.slcan_server import SlcanServer
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.parameters import parameters_of
-from mcp_asdf_tools.swarm import carrier
-from mcp_asdf_tools.swarm.live_view import LiveView
+from mcp_asdf_tools.swarm import carrier, live_view
 from mcp_asdf_tools.swarm.run import SwarmRun
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.summary import comparison, one_line, summary, summary_table
@@ -339,12 +339,12 @@ def test_swarm_refuses_a_file_that_it_cannot_write_before_the_first_tick(
 def signal_in_tick_7(monkeypatch: pytest.MonkeyPatch) -> None:
     """Send SIGTERM to this process in the seventh tick of a swarm."""
 
-    def send_signal_in_tick_7(view: LiveView, swarm: Swarm) -> None:
+    def send_signal_in_tick_7(swarm: Swarm) -> None:
         if swarm.ticks == 7:
             os.kill(os.getpid(), signal.SIGTERM)
 
-    # The swarm calls its live view in each tick, so that is where the signal can be sent.
-    monkeypatch.setattr(LiveView, "__call__", send_signal_in_tick_7)
+    # The swarm calls the hook of its live view in each tick, so that is where the signal can be sent.
+    monkeypatch.setattr(live_view, "live_view", lambda *_: nullcontext(send_signal_in_tick_7))
 
 
 @interruptible()
@@ -411,11 +411,11 @@ def folder_in_place_of_results(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     """A folder that appears while a swarm runs, with the name of the file for its results, run.log.json."""
     folder = tmp_path / "run.log.json"
 
-    def make_folder(view: LiveView, swarm: Swarm) -> None:
+    def make_folder(_swarm: Swarm) -> None:
         folder.mkdir(exist_ok=True)
 
-    # The swarm calls its live view in each tick, so that is where something can happen during its run.
-    monkeypatch.setattr(LiveView, "__call__", make_folder)
+    # The swarm calls the hook of its live view in each tick, so that is where something can happen.
+    monkeypatch.setattr(live_view, "live_view", lambda *_: nullcontext(make_folder))
     return folder
 
 

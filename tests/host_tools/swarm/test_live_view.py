@@ -19,7 +19,7 @@ from rich.console import Console
 from mcp_asdf_tools.common import progress_bar
 from mcp_asdf_tools.swarm import run as run_module
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.live_view import LiveView
+from mcp_asdf_tools.swarm.live_view import live_view
 from mcp_asdf_tools.swarm.run import Baselines, mean_error, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -53,7 +53,7 @@ def view_run(steps: int, with_baselines: bool, **console_options: Any) -> Viewed
     baselines = Baselines(settings) if with_baselines else None
     output = io.StringIO()
     console = Console(file=output, **console_options)
-    with Swarm(settings, Wiring()) as swarm, LiveView(console, steps, baselines) as view:
+    with Swarm(settings, Wiring()) as swarm, live_view(console, steps, baselines) as view:
         # Baselines come first, so that the view meets them after the same tick.
         hooks = [hook for hook in (baselines, view) if hook is not None]
         run_swarm(swarm, hooks)
