@@ -1,4 +1,4 @@
-"""The table of docs/reproduce.md, with the commands and the pictures for figures of the paper."""
+"""Reads the table of docs/reproduce.md, which says how to draw pictures like the figures of the paper."""
 
 from __future__ import annotations
 
@@ -12,16 +12,22 @@ REPRODUCE = ROOT / "docs/reproduce.md"
 
 @dataclass(frozen=True)
 class PaperFigures:
-    """A row of the page's table: a command, and the pictures that it makes like figures of the paper."""
+    """A row of the page's table.
+
+    Attributes:
+        command: The command that makes pictures like a figure of the paper.
+        pictures: The names of their files.
+    """
 
     command: str
     pictures: list[str]
 
 
 def rows_by_figure_of_the_paper() -> dict[str, PaperFigures]:
-    """Return the rows of the page's table, by the number of the paper's figure or "all".
+    """Return the rows of the page's table by their first cells.
 
-    A row is a line: | figure | `command` | `picture`, `picture` |.
+    The first cell is the number of a figure of the paper, or "all". The lines of the page have the form
+    | figure | `command` | `picture`, `picture` |.
     """
     page = REPRODUCE.read_text("utf-8")
     rows = re.findall(r"^\| ([^|]+) \| `([^`]+)` \| ([^|]+) \|", page, re.MULTILINE)

@@ -79,7 +79,7 @@ def rates_of(
 
 
 def rates_by_world() -> dict[str, dict[str, float]]:
-    """Measure the rates of each program in five worlds, by the world's name and the program's."""
+    """Measure each program in five worlds, and return its rates by the names of world and program."""
     simulator = float(json.loads(MOTION.read_text("utf-8"))["robot_ticks_per_second"])
     with tempfile.TemporaryDirectory() as folder:
         full = {PLAIN: plain(folder, "full", 96, SCALAR)}
@@ -99,7 +99,10 @@ def rates_by_world() -> dict[str, dict[str, float]]:
 
 
 def print_rates(world: str, rates: dict[str, float]) -> None:
-    """Print a row for each program, with its rate as a multiple of those that others are compared with."""
+    """Print a table of a world that has a row with the rate of each program.
+
+    Behind the rate stands how many times it is that of Python, and that of plain C, if they were measured.
+    """
     yardsticks = [name for name in (PYTHON, PLAIN) if name in rates]
     print(f"{world:32}{'robot-steps/s':>14}" + "".join(f"{f'x {name}':>20}" for name in yardsticks))
     for name, value in rates.items():

@@ -114,7 +114,7 @@ def agrees(part: str) -> bool:
 
 
 def print_row(stored: StoredExperiment, our_scores: Floats, p_values_of_scores: list[float]) -> None:
-    """Print an experiment's parameters, the medians of H, ours and the other, and its p-values."""
+    """Print parameters of an experiment, the medians of our H and the stored H, and a p-value per score."""
     e = stored.experiment
     place = (e.robots, e.fill_ratio, e.true_accuracy, e.flawed_accuracy, e.flawed, e.filter_period, e.filter)
     medians_of_h = (np.median(our_scores[:, 2]), np.median(stored.scores[:, 2]))

@@ -70,9 +70,10 @@ def separate(settings: SwarmSettings) -> tuple[float, list[float]]:
 
 
 def fastest_of_three(settings: SwarmSettings) -> tuple[float, float]:
-    """Return the least processor seconds of three runs of both ways, by turns: shared and separate.
+    """Run a swarm three times with a shared connection and three times with separate ones, by turns.
 
-    Fails if the robots of both end in different states.
+    Returns the processor seconds of the fastest shared run and of the fastest separate one. Fails if the
+    robots of a shared run end with another x than those of a separate one.
     """
     least_shared = least_separate = math.inf
     for _ in range(3):

@@ -35,7 +35,10 @@ def defaults_stated_in_help(command: str) -> Iterator[tuple[str, str, str | None
 
 
 def describe_options() -> list[str]:
-    """Return a line for each option and default, with the commands, such as "--b-hat 0.95: radio node"."""
+    """Return the lines of the file about options, such as "--b-hat 0.95: radio node".
+
+    A line has an option, its default, and the commands that have this option with this default.
+    """
     commands_by_default: dict[str, list[str]] = {}
     for command in cli.COMMANDS:
         for option, default, _ in defaults_stated_in_help(command):

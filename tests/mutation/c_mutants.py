@@ -57,7 +57,8 @@ STATEMENT = re.compile(
 )
 CONDITION = re.compile(r"\b(if|while) \(")
 SMALLER_OR_LARGER = re.compile(r"\b(\w+) ([<>]=?) (\w+) \? \1 : \3\b(?! [-+])")
-"""A choice of the smaller or larger of two numbers: it is the same for equal ones, with "<" or "<="."""
+"""Matches a choice of the smaller or larger of two numbers. It makes no difference which of two equal numbers
+is chosen, and so none whether the operator is "<" or "<="."""
 
 
 def path_of(file: str) -> Path:

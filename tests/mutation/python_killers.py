@@ -85,7 +85,7 @@ class Baseline:
         )
 
     def add(self, other: Baseline) -> None:
-        """Add what other tests do, which are run with the same marks."""
+        """Add the record of other tests, which were run with the same marks."""
         self.seconds |= other.seconds
         self.failed += other.failed
         for statement, test_ids in other.tests_of_statement.items():
@@ -116,7 +116,10 @@ def run_baseline(mutants: Iterable[Mutant], folders: Iterable[Path], marks: str 
 
 
 def _probes_of(mutants: Iterable[Mutant]) -> dict[Path, dict[int, str]]:
-    """Return calls of the probe for the statements that mutants change, by file and index of statement."""
+    """Return the calls of the probe that are inserted before the statements that mutants change.
+
+    The keys are the file and the index of the statement.
+    """
     probes_by_file: dict[Path, dict[int, str]] = {}
     for mutant in mutants:
         probes = probes_by_file.setdefault(mutant.path, {})

@@ -65,11 +65,10 @@ def test_every_small_mistake_in_the_firmware_s_python_is_noticed_by_its_tests() 
 
 @pytest.mark.slow
 def test_most_small_mistakes_in_a_room_of_the_tools_are_noticed_by_its_quick_tests() -> None:
-    """The room, a package of the tools or its ``library.py``, is drawn: each has its turn in some run.
+    """A room is a package of the tools or their ``library.py``. Each run of this test draws one of them.
 
-    In all rooms together they noticed 78 of 90 mistakes that were drawn. Even at three of four this test
-    would fail once in 50 runs. No change to the tools is listed as harmless: among so many, the few that are
-    lower no score.
+    Of 90 mistakes that were drawn from all rooms, the tests noticed 78. If they noticed only three of four,
+    this test would fail once in 50 runs. Harmless changes to the tools are not listed, as they are few.
     """
     names = [path.name for path in (ROOT / TOOLS).iterdir() if path.suffix in ("", ".py")]
     rooms = [name for name in names if not name.startswith("_")]

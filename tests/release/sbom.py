@@ -26,7 +26,10 @@ OF_THE_INSTALLER = {"INSTALLER", "REQUESTED", "RECORD", "direct_url.json", "uv_c
 
 
 def dependencies() -> dict[str, set[str]]:
-    """Return what each package needs, by name: the project with its extras, and all that it leads to."""
+    """Return the names of the packages that each package needs, by its name.
+
+    The packages are the project with all its extras, and all that it needs directly or indirectly.
+    """
     names_by_package = dict[str, set[str]]()
     waiting = {(NAME, frozenset(metadata.metadata(NAME).get_all("Provides-Extra") or ()))}
     known = set(waiting)
@@ -41,7 +44,10 @@ def dependencies() -> dict[str, set[str]]:
 
 
 def needs_of(package: str, extras: frozenset[str]) -> set[tuple[str, frozenset[str]]]:
-    """Return the packages that one needs with these extras, each with the extras of it that are needed."""
+    """Return what a package with some extras needs.
+
+    This is a set of the names of other packages, each with those of its extras that are needed.
+    """
     needs = set()
     for text in metadata.requires(package) or ():
         requirement = Requirement(text)

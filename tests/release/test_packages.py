@@ -75,7 +75,10 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def install_wheel(wheel: Path, folder: Path) -> None:
-    """Make a virtual environment with the wheel in a folder; libraries come from that of the tests."""
+    """Make a virtual environment in a folder, and install the wheel there without the libraries it needs.
+
+    These come from the environment of the tests.
+    """
     run(sys.executable, "-m", "venv", folder)
     python = folder / "bin/python"
     (packages,) = folder.glob("lib/python*/site-packages")
@@ -86,7 +89,7 @@ def install_wheel(wheel: Path, folder: Path) -> None:
 
 @pytest.fixture(scope="session")
 def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A fresh virtual environment with the wheel, made once for all tests; none changes it."""
+    """A virtual environment with the wheel. It is made once for all tests, and none of them changes it."""
     return made_once(tmp_path_factory, "environment", partial(install_wheel, wheel))
 
 

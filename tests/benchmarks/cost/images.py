@@ -157,7 +157,7 @@ class Image:
 
     @cached_property
     def frames(self) -> dict[str, int]:
-        """The bytes of stack of each function as the compiler reports them. Its library reports none."""
+        """The bytes of stack by function. The compiler reports them, but not those of its own library."""
         frames: dict[str, int] = {}
         for file in self.path.parent.glob("*.su"):
             for line in file.read_text(encoding="utf-8").splitlines():

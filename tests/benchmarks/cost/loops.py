@@ -124,7 +124,11 @@ def _take_bound(loop: Loop, source_lines: Mapping[int, str], unused_bounds: dict
 
 
 def _limits_of_returns(loop: Loop, bound: Bound, edges: list[Edge]) -> Iterator[tuple[Any, int]]:
-    """Yield rows of the matrix with their limits: how often the loop's entries are reached from inside."""
+    """Yield rows of the matrix with limits, which bound how often a loop's entries are reached from inside.
+
+    For each entry one row bounds this in relation to how often the loop is entered. Another row bounds it for
+    a whole call, if the source does.
+    """
     origins, ends = np.array(edges).T
     from_inside = np.isin(origins, list(loop.members))
     entrances = np.isin(ends, list(loop.entries)) & ~from_inside
@@ -137,7 +141,7 @@ def _limits_of_returns(loop: Loop, bound: Bound, edges: list[Edge]) -> Iterator[
 
 
 def _most_returns_to_an_entry(loop: Loop, edges: Iterable[Edge], bound: Bound) -> int:
-    """Return how often an entry is reached from inside the loop at most, each time it is entered."""
+    """Return how often an entry of a loop is reached from inside at most, each time the loop is entered."""
     if len(loop.entries) > 1:
         # A compiler may copy a loop's body, and jump between the copies. After the last turn, what is not
         # the entry that was entered may be reached once more.
@@ -149,9 +153,9 @@ def _most_returns_to_an_entry(loop: Loop, edges: Iterable[Edge], bound: Bound) -
 
 
 def _find_loops(edges: set[Edge], all_edges: Iterable[Edge]) -> list[Loop]:
-    """Return the loops that ``edges`` form, where a loop stands behind those inside it.
+    """Return the loops that ``edges`` form. An outer loop stands behind the loops inside it.
 
-    ``all_edges`` are those of the whole graph, by which a loop is entered.
+    ``all_edges`` are the edges of the whole graph. Those of them that lead into a loop show its entries.
     """
     numbers = sorted({number for edge in edges for number in edge})
     index_of = {number: index for index, number in enumerate(numbers)}

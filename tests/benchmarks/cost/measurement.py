@@ -18,7 +18,7 @@ from .robots import UPDATED, ObservedCall, Robot
 TICK_CALLS = ("observe", "receive", "settle", "step", "x")
 STACK_CALLS = (*TICK_CALLS, "init", "save", "restore", "invariants_hold")
 SEED, SAMPLES = 1, 10
-"""The seed of the random situations, and how often two of them are drawn for a robot of each age."""
+"""The seed of the random situations, and how many pairs of them are drawn for a robot of each age."""
 _SYMBOL_OF_PROGRAM = re.compile(r"(main|config|mcp_asdf_t_table_\w+)$")
 
 
@@ -65,7 +65,7 @@ class Figures:
     def largest(self, kind: str, unit: str = "instructions") -> int:
         """Return the largest cost of a call of this kind, in "instructions", "cycles" or "stack".
 
-        Cycles are known of an AVR only, and "stack" is in bytes.
+        Cycles are counted on an AVR only, and "stack" is in bytes.
         """
         return max(int(getattr(call.cost, unit)) for call in self.observed_calls if call.kind == kind)
 

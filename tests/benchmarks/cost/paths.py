@@ -131,10 +131,10 @@ class Paths:
     # --- Stack ---
 
     def _deepest(self, start: int, callers: tuple[int, ...]) -> int:
-        """Return the most bytes of stack that the function at this instruction needs, with those it calls.
+        """Return the most bytes of stack that a function and the functions that it calls need together.
 
-        ``callers`` are the first instructions of the functions that have called it. Raises ValueError if it
-        is one of them.
+        ``start`` is the number of its first instruction, and ``callers`` are those of the functions that have
+        called it. Raises ValueError if the function calls itself.
         """
         name = self._lines[start].function
         if start in callers:

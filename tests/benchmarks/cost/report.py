@@ -22,7 +22,7 @@ Row = dict[str, str | int]
 
 
 def sections(measurements: Measurements) -> dict[str, str]:
-    """Return the tables by the names of the pages' sections that they stand in."""
+    """Return the tables by the names of the sections, in README and PAGE, that contain them."""
     memory, calls = [], []
     for (target, level, build), figures in measurements.items():
         name = f"{target} {level}, {build.name}"

@@ -48,7 +48,7 @@ by order statistics; worst: the largest. score: median of H. harmed: percentage 
 is more than 0.05 off, mean over the last quarter and all trials; unfixed: the same of the flawed ones."""
 
 RowKey = tuple[str, str, str, str]
-"""Which row of a table: its group, case, flaw and filter."""
+"""The group, case, flaw and filter of a row: no two rows of a table have the same."""
 
 FLAWS = {"underconfident": "f=.55 b=.95 fb=.55", "overconfident": "f=.95 b=.55 fb=.95"}
 TOPOLOGIES = {"moving": "top=1", "all hear all": "top=0"}
@@ -247,7 +247,10 @@ def run_case(
 def rows_of(
     case: Case, results: dict[str, dict[str, list[float]]], labels: Mapping[str, str] = FILTERS
 ) -> Iterator[dict[str, str]]:
-    """Yield the rows of the table for the results of a case; labels are what the table calls the filters."""
+    """Yield the rows of the table for the results of a case.
+
+    ``labels`` are what the table calls the filters, by their names in judge.c.
+    """
     for name, label in labels.items():
         yield {
             "group": case.group,
@@ -259,9 +262,9 @@ def rows_of(
 
 
 def summarize(values: Mapping[str, Sequence[float]]) -> dict[str, str]:
-    """Return the columns from "trials" to "unfixed" for a case with a filter.
+    """Return the columns from "trials" to "unfixed" of a row.
 
-    ``values`` has a number for each trial, by the quantity.
+    ``values`` has a list for each quantity, such as "error". The list has a number for each trial.
     """
     errors = values["error"]
     median_error, low, high = median_interval(np.array(errors))
@@ -300,7 +303,7 @@ def append_rows(path: Path, rows: Iterator[dict[str, str]]) -> None:
 def generate_rows(
     finished: Set[RowKey], cases: Sequence[Case], labels: Mapping[str, str], core: Path = CORE
 ) -> Iterator[dict[str, str]]:
-    """Run cases and yield their rows, but not the cases of which there are finished rows.
+    """Run the cases that are not finished, and yield their rows.
 
     ``labels`` are what the table calls the filters, by their names in judge.c, and ``core`` is the folder of
     the firmware that is judged.
@@ -315,7 +318,7 @@ def generate_rows(
 
 
 def generate_variant_rows(finished: Set[RowKey]) -> Iterator[dict[str, str]]:
-    """Yield the rows of the cases of variants with each variant, but for the finished ones."""
+    """Run VARIANT_CASES with each variant of the filter, unless they are finished, and yield their rows."""
     for variant in VARIANTS:
         with tempfile.TemporaryDirectory() as core:
             write_variant(CORE, Path(core), variant)

@@ -72,7 +72,7 @@ class PlantedResults(StudyResults):
 
 
 def names_in_expression(cell: Cell, measure: str) -> dict[str, Any]:
-    """Return what an expression of ``PlantedResults`` may contain, by the names that it uses."""
+    """Return the values for a cell and a measure that an expression of ``PlantedResults`` may name."""
     return {
         "f": cell.fill_ratio,
         "b": cell.true_accuracy,
@@ -100,9 +100,10 @@ def run_two_short_trials(**parameters: Any) -> list[Trials]:
 def two_trials_with(*, x: Any = 0.5, b_hat: Any = 0.9, **changes: Any) -> Trials:
     """Make two trials with these values of x and b_hat, without running them: f = 0.5 and b = 0.9.
 
-    There are four robots, the first of them flawed. ``x`` is a number, a list of one for each robot, or a
-    list of such lists for each sample; likewise ``b_hat``, by filter steps. Both trials have these values.
-    All robots have converged at step 0, without an error.
+    There are four robots, the first of them flawed. ``x`` is a number for all robots, a list with a number
+    for each robot, or a list that has such a list for each sample. The same holds for ``b_hat``, which has
+    filter steps in place of samples. Both trials have these values. All robots have converged at step 0,
+    without an error.
     """
     settings = {"robots": 4, "flawed": 1, "steps": 4000, "fill_ratio": 0.5, "true_accuracy": 0.9, "trials": 2}
     experiment = Experiment(**settings | changes)
@@ -120,7 +121,10 @@ def two_trials_with(*, x: Any = 0.5, b_hat: Any = 0.9, **changes: Any) -> Trials
 
 
 def _of_two_trials(values: Any, robots: int) -> Sample:
-    """Return values by trial, sample and robot: both trials have the values, of one sample or of several."""
+    """Return values by trial, sample and robot.
+
+    ``values`` are those of one sample or of several. Both trials have them.
+    """
     array = np.atleast_2d(np.asarray(values, np.float64))
     return np.broadcast_to(array, (2, len(array), robots)).copy()
 

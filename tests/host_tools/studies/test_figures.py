@@ -130,10 +130,10 @@ def test_a_study_of_some_parts_of_the_papers_has_the_pictures_of_these_parts(
 
 
 def test_titles_of_pictures_have_the_number_of_the_papers_figure_that_docs_reproduce_md_says() -> None:
-    """A row of the page's table has a figure, a command and its pictures.
+    """The page has a table. A row names a figure of the paper, and the pictures that are like this figure.
 
-    The title of a picture ends in a text such as "(the paper's figure 3a)". The page's last row, of all
-    figures, is left out.
+    The title of a picture ends in a text such as "(the paper's figure 3a)". The last row is about all figures
+    and is left out.
     """
     rows = rows_by_figure_of_the_paper()
     assert list(rows) == ["3", "4", "5", "6", "8", "all"]

@@ -126,7 +126,7 @@ def compare_runs(settings: SwarmSettings, wiring: Wiring) -> Comparison:
 def run_with_remote_nodes(
     settings: SwarmSettings, wiring: Wiring, remote_nodes: dict[int, RobotNode]
 ) -> tuple[SwarmRun, list[can.Message]]:
-    """Run a swarm whose remote robots are these, each in a thread; return the run and all frames."""
+    """Run a swarm, and each of its remote robots in a thread of its own; return the run and all frames."""
     assert wiring.open_bus is not None
     frames: list[can.Message] = []
     with ExitStack() as stack:

@@ -449,7 +449,10 @@ def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
 
 
 def last_robot_with_a_fault(settings: SwarmSettings) -> int:
-    """Return the largest id of a robot that a fault names; at least 6, which stands for one in any run."""
+    """Return the largest id of a robot that a fault names.
+
+    If no fault names a robot this is 6, which is the first robot with a fault in other runs.
+    """
     robots_with_faults = {6}
     for fault in settings.faults:
         robots_with_faults |= fault.robots or set()

@@ -51,7 +51,7 @@ def wrongly_rounded_entries(table: Table, omega: Decimal) -> list[int]:
 
 
 def threshold(limit: float, m: int) -> float:
-    """Return k_m for m messages, from the number of spreads that is the limit in eq. 12."""
+    """Return k_m for m messages. ``limit`` is the limit of eq. 12 as a number of spreads."""
     return limit**2 * m / (m - 1)
 
 

@@ -303,7 +303,7 @@ def test_each_chart_has_a_vertical_line_at_the_shown_step(browser: Page, page_fi
 
 
 def states_with_a_death() -> list[State]:
-    """Return states of two robots in steps 0 to 10, of which the second is dead in the steps 4 to 6.
+    """Return the states of two robots in the steps 0 to 10. The second robot is dead in the steps 4 to 6.
 
     All values are 0.5, but x of the first robot is 0.75 in step 5.
     """
@@ -416,7 +416,7 @@ def test_the_page_of_a_silent_bus_waits_until_a_robot_sends(browser: Page) -> No
 
 
 def roster_of_two_robots() -> Roster:
-    """Return the roster of a bus: robot 9 sent an estimate and a heartbeat at 0 s, and robot 5 at 9 s."""
+    """Return a roster of robots 9 and 5, which sent an estimate and a heartbeat at 0 s and at 9 s."""
     roster = Roster()
     for robot, now in ((9, 0.0), (5, 9.0)):
         roster.receive(can.Message(), Estimate(robot, x_hat=0, alpha=0, transfer_id=3), now)

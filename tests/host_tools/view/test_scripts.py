@@ -72,7 +72,7 @@ console.log(JSON.stringify({ states, linksToRobot0: history.links(1, 0) }));
 
 
 def decode_by_scripts(description: RunDescription, states: list[State], folder: Path) -> Any:
-    """Encode two states in Python, decode them by the scripts in a folder, and return what these find."""
+    """Encode two states in Python, and return the states that the scripts in a folder decode from this."""
     page = {
         "description": encode_description(description),
         "block": encode_states(states, description),
