@@ -48,7 +48,7 @@ _TRIAL_AXIS, _ROBOT_AXIS = 0, 2
 _MEANING_OF_MARKS = "lines are medians over robots and trials, bands the middle 90 %"
 
 _LEGEND = {"flawed": COLOUR_OF_FLAWED_ROBOTS, "healthy": COLOUR_OF_HEALTHY_ROBOTS, "true": INK}
-"""Colours of robots, and of the true accuracy, by their label in the legend."""
+"""Colours of the lines in a panel, by their labels in the legend."""
 
 _TITLE_WIDTH = 56
 """Characters in a line of a title. Those of formulas, which are drawn shorter, count in full."""
@@ -124,12 +124,12 @@ def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
     """
     experiment = trials.experiment
     flawed, healthy = np.split(trials.b_hat, [experiment.flawed], axis=_ROBOT_AXIS)  # the flawed come first
+    _trials, filter_step_count, _robots = trials.b_hat.shape
+    # The first filter step is at step filter_period, not at step 0.
+    steps = experiment.filter_period * np.arange(1, filter_step_count + 1)
     for colour, b_hat in ((COLOUR_OF_FLAWED_ROBOTS, flawed), (COLOUR_OF_HEALTHY_ROBOTS, healthy)):
         if b_hat.size:
             band = np.percentile(b_hat, _MEDIAN_AND_BAND_PERCENTILES, axis=(_TRIAL_AXIS, _ROBOT_AXIS))
-            _lines, filter_step_count = band.shape
-            # The first filter step is at step filter_period, not at step 0.
-            steps = experiment.filter_period * np.arange(1, filter_step_count + 1)
             draw_band(axes, steps, band, colour)
     axes.axhline(experiment.true_accuracy, color=INK, linewidth=1.2, linestyle="--")
 

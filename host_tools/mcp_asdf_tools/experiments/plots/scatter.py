@@ -68,9 +68,10 @@ def _accuracies_of(experiment: Experiment) -> tuple[float, float]:
 
 
 def _legend_by_accuracies(experiments: Sequence[Trials]) -> dict[tuple[float, float], Line2D]:
-    """Return an entry of the legend for each b and offset of b_hat that occurs, sorted by them.
+    """Return the entries of the legend, by b and the offset of b_hat from b, in ascending order.
 
-    The marker shows b, and the colour the offset. With more than five b, markers are used again.
+    Experiments of the same b and offset share an entry. Its marker shows b, and its colour the offset. With
+    more than five b, markers are used again.
     """
     marker_of_accuracy = dict(zip(shown_values(experiments, "true_accuracy"), cycle(_MARKERS), strict=False))
     legend = {}
@@ -86,12 +87,16 @@ def _draw_points(
     limits: Limits,
     legend: Mapping[tuple[float, float], Line2D],
 ) -> None:
-    """Draw a point for each trial at its scores h_K and h_e, with marker and colour of its legend entry."""
+    """Draw the trials of some experiments as points, with h_K along x and h_e along y.
+
+    ``legend`` has an entry for the accuracies of every experiment. The points of an experiment have the
+    marker and the colour of that entry.
+    """
     for trials in experiments:
         entry = legend[_accuracies_of(trials.experiment)]
         scores = trials.scores(limits)
-        (points,) = axes.plot(scores["h_K"], scores["h_e"], linestyle="", markersize=3, alpha=0.6)
-        points.set(marker=entry.get_marker(), color=entry.get_color())
+        marker, colour = str(entry.get_marker()), entry.get_color()
+        axes.plot(scores["h_K"], scores["h_e"], marker, color=colour, markersize=3, alpha=0.6)
     # Scores are 0 to 100; the margin keeps markers at the ends from being cut.
     axes.set(xlim=(-4, 104), ylim=(-4, 104))
 

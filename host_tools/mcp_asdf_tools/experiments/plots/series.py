@@ -53,9 +53,9 @@ _QUANTITIES = (
     _Quantity("x", r"informed estimate $x$", "f", "fill_ratio"),
 )
 _FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL = "flawed robots", "healthy robots", "true value"
-_FLAWED_LINE = {"color": COLOUR_OF_FLAWED_ROBOTS, "label": _FLAWED_LABEL}
-_HEALTHY_LINE = {"color": COLOUR_OF_HEALTHY_ROBOTS, "label": _HEALTHY_LABEL}
-"""Properties of the lines of robots; a line's label is its text in the legend."""
+_FLAWED_LINE: dict[str, Any] = {"color": COLOUR_OF_FLAWED_ROBOTS, "label": _FLAWED_LABEL}
+_HEALTHY_LINE: dict[str, Any] = {"color": COLOUR_OF_HEALTHY_ROBOTS, "label": _HEALTHY_LABEL}
+"""Arguments of ``Axes.plot`` for the lines of robots; a line's label is its text in the legend."""
 
 
 def plot_series(results: Results, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> Figure:
@@ -91,7 +91,7 @@ def plot_runs(runs: Sequence[Trials], trial_number: int) -> Figure:
 
 
 def _draw_row(row: NDArray[Any], runs: Sequence[Trials], trial_number: int, quantity: _Quantity) -> None:
-    """Draw a quantity of each run into a row of panels, with its label and limits at the left."""
+    """Draw a quantity into a row of panels, one for each run, and set the label and limits of the y axis."""
     for axes, trials in zip(row, runs, strict=True):
         _draw_quantity(axes, trials, trial_number, quantity)
     # The panels of a row share their y axis, so what is set for the leftmost one holds for all.
@@ -168,9 +168,8 @@ def _draw_quantity(axes: Axes, trials: Trials, trial_number: int, quantity: _Qua
     draw_style = "steps-post" if quantity.name == "b_hat" else "default"  # b_hat is constant between updates
     # Flawed robots have the lowest ids, and what is drawn last lies on top.
     for robot in reversed(range(experiment.robots)):
-        (line,) = axes.plot(steps, values[:, robot], drawstyle=draw_style, linewidth=1.1, alpha=0.75)
-        line_of_kind = _FLAWED_LINE if experiment.is_flawed(robot) else _HEALTHY_LINE
-        line.set(**line_of_kind)
+        kind = _FLAWED_LINE if experiment.is_flawed(robot) else _HEALTHY_LINE
+        axes.plot(steps, values[:, robot], drawstyle=draw_style, linewidth=1.1, alpha=0.75, **kind)
     _draw_true_value(axes, _true_value(experiment, quantity), quantity.true_symbol)
     style_panel(axes)
 
