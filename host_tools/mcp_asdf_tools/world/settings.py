@@ -131,7 +131,9 @@ class WorldSettings:
         if not isinstance(self.graph, Graph) and not is_empty_text:
             with naming_parameter("graph"):
                 self._replace_value("graph", parse_graph(self.graph))
-        self._check_topology()
+        if not self.is_dynamic:
+            self._check_no_arena()
+        self._check_graph()
         self._check_sensor()
         if self.is_dynamic:
             _check_sides(self)
@@ -222,21 +224,18 @@ class WorldSettings:
         side = self.radio_range * math.sqrt(self.robots * math.pi / self.density)
         return side, side
 
-    def _check_topology(self) -> None:
-        """Raise ParameterError for a parameter of arenas where robots do not move, and for a wrong graph."""
-        if not self.is_dynamic:
-            # Robots that stay where they are have no arena, in which these parameters would have an effect.
-            for name in _ARENA_PARAMETERS:
-                value = getattr(self, name)
-                if value != _default_of(self, name):
-                    message = f"{name} is {value} but robots do not move; choose topology dynamic"
-                    raise ParameterError(name, message)
-        self._check_graph()
+    def _check_no_arena(self) -> None:
+        """Raise ParameterError if a parameter of arenas is set, which would do nothing without an arena."""
+        for name in _ARENA_PARAMETERS:
+            value = getattr(self, name)
+            if value != _default_of(self, name):
+                message = f"{name} is {value} but robots do not move; choose topology dynamic"
+                raise ParameterError(name, message)
 
     def _check_graph(self) -> None:
         """Raise ParameterError for edges without topology graph, and for topology graph without edges.
 
-        Also for a graph that does not suit the number of robots.
+        It is also raised for a graph that does not suit the number of robots.
         """
         # Edges without the topology graph would have no effect, and that topology needs some. So one without
         # the other is an error.
@@ -288,7 +287,7 @@ def _check_neighbours_of_many(settings: WorldSettings) -> None:
         return
     if settings.topology == "graph":
         return  # Graph.check has counted the neighbours already.
-    # Every other topology is refused; the rest composes the message.
+    # Every other topology is refused. What follows makes the message.
     if settings.topology == "fully-connected":
         neighbour_count = settings.robots - 1
         reason = (
