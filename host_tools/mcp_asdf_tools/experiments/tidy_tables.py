@@ -116,13 +116,13 @@ def tidy_table(
 def _columns_of_rows(
     population: Population, trial_numbers: Sequence[int], steps: NDArray[np.int64]
 ) -> dict[str, NDArray[Any]]:
-    """Return what tells the rows of a tidy table apart: trial, step, robot and is_flawed, by name.
+    """Return the columns trial, step, robot and is_flawed of a tidy table, by name.
 
-    Arrays have the shape (trials, steps, N), with an element for each row.
+    Each is an array of the shape (trials, steps, N), with an element for each row.
     """
-    robots = np.arange(population.robots)
+    robots = range(population.robots)
     trial_column, step_column, robot_column = np.meshgrid(trial_numbers, steps, robots, indexing="ij")
-    is_flawed = robot_column < population.flawed  # the flawed robots come first
+    is_flawed = np.array([population.is_flawed(robot) for robot in robots])[robot_column]
     return {"trial": trial_column, "step": step_column, "robot": robot_column, "is_flawed": is_flawed}
 
 

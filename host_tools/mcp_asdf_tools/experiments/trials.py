@@ -155,7 +155,7 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
         Values by the name of each quantity, shape (trials, samples + 1, N).
     """
     initial_b_hat = [b_hat_to_raw(experiment.b_hat(robot)) / 2**32 for robot in range(experiment.robots)]
-    # Of a robot that has neither observed nor received anything.
+    # These are the values of a robot that has neither observed nor received anything.
     initial_values: dict[str, Any] = {"t": 0, "n": 0, "alpha": 0, "beta": 0}
     initial_values |= {"x_hat": 0.5, "x_bar": 0.5, "x": 0.5, "b_hat": initial_b_hat}
     trial_count, sample_count, robots = raw_records.shape
@@ -168,13 +168,20 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
     return records
 
 
+_INTEGER_OF_ONE = {
+    **dict.fromkeys(("t", "n"), 1),
+    **dict.fromkeys(("x_hat", "x_bar", "x"), ONE),
+    "beta": UNITS_PER_ALPHA,
+    "b_hat": 2**32,
+}
+"""The integer that stands for 1, by quantity. Alpha has none: its word is a mantissa and a shift."""
+
+
 def _in_paper_units(quantity: str, raw_values: NDArray[Any]) -> Floats:
-    """Return recorded integers of a quantity as floats in the units of the paper, in the same shape."""
-    if quantity == "alpha":  # its word is a mantissa and a shift
+    """Convert recorded integers of a quantity to floats in the units of the paper, in the same shape."""
+    if quantity == "alpha":
         return _alpha_of_words(raw_values)
-    integer_of_one = {"t": 1, "n": 1, "beta": UNITS_PER_ALPHA}  # the integer that stands for 1
-    integer_of_one |= {"x_hat": ONE, "x_bar": ONE, "x": ONE, "b_hat": 2**32}
-    values: Floats = raw_values / integer_of_one[quantity]
+    values: Floats = raw_values / _INTEGER_OF_ONE[quantity]
     return values
 
 

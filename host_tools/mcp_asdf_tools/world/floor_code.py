@@ -40,7 +40,7 @@ def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
     if not fewest_black <= black_modules <= most_black:
         limits = f"{fewest_black / pattern.size:g} to {most_black / pattern.size:g}"
         raise ParameterError("fill_ratio", f"fill_ratio is {fill_ratio}; this floor can have {limits}")
-    # A seed of its own, so that every trial of an experiment has the same floor.
+    # The seed is not the experiment's, so that the same modules are black in all trials.
     random_generator = np.random.Generator(np.random.PCG64(_SEED))
     shuffled_modules = random_generator.permutation(free_modules)
     pattern.flat[shuffled_modules[: black_modules - fewest_black]] = True
@@ -48,7 +48,10 @@ def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
 
 
 def _count_black_modules(fill_ratio: float) -> int:
-    """Return how many modules are black. Raises ParameterError if the share is no whole number of them."""
+    """Return the number of black modules of a pattern in which the share ``fill_ratio`` is black.
+
+    Raises ParameterError if that share is no whole number of modules.
+    """
     modules = CODE_MODULES**2
     black_modules = round(fill_ratio * modules)
     # A share such as 0.448 is no exact float, so its product may be a little off the whole number.
@@ -68,10 +71,11 @@ def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """
     is_black = np.zeros((CODE_MODULES, CODE_MODULES), np.bool_)
     is_fixed = np.zeros((CODE_MODULES, CODE_MODULES), np.bool_)
+    finder = _finder()
     for row, column in ((0, 0), (0, _LAST_FINDER), (_LAST_FINDER, 0)):
         end_row = row + _FINDER_MODULES
         end_column = column + _FINDER_MODULES
-        is_black[row:end_row, column:end_column] = _finder()
+        is_black[row:end_row, column:end_column] = finder
         # With the margin, which the edge of the code cuts off on two sides.
         is_fixed[max(0, row - 1) : end_row + 1, max(0, column - 1) : end_column + 1] = True
     # A timing line leads from margin to margin of two finders, level with their inner edges. Its modules are
