@@ -246,10 +246,14 @@ def test_trials_are_computed_at_once_if_only_their_results_are_wanted_and_lanes_
 CORE_FOLDER = CORE.parent
 ENGINE_FOLDER = ROOT / "host_tools/mcp_asdf_tools/experiments/engine"
 ARENA_FOLDER = ROOT / "host_tools/mcp_asdf_tools/world/arena"
-C_HEADERS_OF_TOOLS = (ARENA_FOLDER / "arena.h", ENGINE_FOLDER / "engine.h")
 OPTIONS_OF_COMPILER = (
-    *("-std=gnu99", "-O3", "-fPIC", "-shared"),
-    *("-ffp-contract=off", "-fno-trapping-math", "-fno-math-errno"),
+    "-std=gnu99",
+    "-O3",
+    "-fPIC",
+    "-shared",
+    "-ffp-contract=off",
+    "-fno-trapping-math",
+    "-fno-math-errno",
     "-DFOR_EACH_TARGET=",  # one target only, that of -march
 )
 
@@ -260,7 +264,8 @@ def build_engine(architecture: str, folder: Path, *more_options: str) -> Any:
     More options of the C compiler may be given.
     """
     glue, module_path = folder / "_engine.c", folder / "_engine.so"
-    headers = [*(CORE_FOLDER / name for name in ("mcp_asdf.h", "mcp_asdf_image.h")), *C_HEADERS_OF_TOOLS]
+    headers = [CORE_FOLDER / "mcp_asdf.h", CORE_FOLDER / "mcp_asdf_image.h"]
+    headers += [ARENA_FOLDER / "arena.h", ENGINE_FOLDER / "engine.h"]
     run(sys.executable, ROOT / "firmware_py/build_native.py", _engine.__name__, glue, *headers)
     sources = [glue, *sorted(ENGINE_FOLDER.glob("*.c")), *sorted(ARENA_FOLDER.glob("*.c"))]
     sources += [CORE_FOLDER / name for name in ("mcp_asdf_image.c", "mcp_asdf_small.c")]
