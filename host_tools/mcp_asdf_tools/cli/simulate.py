@@ -63,7 +63,6 @@ def run(args: argparse.Namespace) -> int:
     experiment = experiments[0]
     workers = options.workers_of(args)
     limits = options.limits_of(args)
-    # Worker processes would take longer to start than such a run takes.
     if _is_short(experiment):
         workers = 1
     if args.output is not None:
@@ -79,9 +78,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _is_short(experiment: Experiment) -> bool:
-    """Return whether an experiment takes so little time that starting processes would not pay.
+    """Return whether an experiment takes less time than worker processes would take to start.
 
-    Trials of other firmwares than the native one run in Python, and take far longer than starting a process.
+    Only trials of the native firmware can be so short. Those of other firmwares run in Python, which is slow.
     """
     robot_steps = experiment.trials * experiment.robots * experiment.steps
     return experiment.firmware == "native" and robot_steps < _ROBOT_STEPS_FOR_PROCESSES

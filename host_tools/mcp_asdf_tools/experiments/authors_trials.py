@@ -148,9 +148,9 @@ def _trial_number(file: _TrialFile, experiment: Experiment) -> int:
 
 
 def _count_changes(b_hat: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return how often b_hat has changed in each robot, shape (N,), from one of its values to the next.
+    """Return how often b_hat has changed in each robot, shape (N,).
 
-    ``b_hat`` has the values of the robots in the order of time, shape (times, N).
+    ``b_hat`` has the values of the robots at successive times, shape (times, N).
     """
     b_hat_before, b_hat_after = b_hat[:-1], b_hat[1:]
     # NaN, where their programs have divided by 0, is no change.
@@ -362,7 +362,10 @@ def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
 
 
 def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
-    """Raise ValueError, which names a quantity and the first step where it is wrong, if a number is wrong."""
+    """Raise ValueError, which names the quantity and its first wrong step, if a robot cannot have a number.
+
+    ``series`` has the numbers of one robot by the name of the quantity, shape (steps + 1,) each.
+    """
     for name, is_wrong in _find_wrong_numbers(series).items():
         if is_wrong.any():
             step = int(is_wrong.argmax())  # the first one
@@ -372,7 +375,7 @@ def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
 
 
 def _find_wrong_numbers(series: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.bool_]]:
-    """Return for each quantity of a robot in which steps its number is one that no robot can have.
+    """Return arrays that are True in the steps where no robot can have the number, by the quantity's name.
 
     Counts must be 0 <= n <= t <= step. Estimates and accuracies are 0 to 1, and confidences 0 or more and
     finite. The b_hat on white must equal the b_hat on black. Only the counts must not be NaN.

@@ -50,7 +50,7 @@ def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], series_name: S
 
 
 def _with_name(experiments: Sequence[Trials], series_name: SeriesName, name: str) -> list[Trials]:
-    """Return the experiments to which ``series_name`` gives a name."""
+    """Return those of ``experiments`` to which ``series_name`` gives the name ``name``."""
     return [trials for trials in experiments if series_name(trials.experiment) == name]
 
 

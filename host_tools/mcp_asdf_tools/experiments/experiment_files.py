@@ -26,7 +26,7 @@ from mcp_asdf_tools.world.graph import is_text_of_edges
 SHIPPED_STUDIES = Path(__file__).with_name("studies")
 GRID_KEY = "grid"
 _ABOVE_GRIDS = 0
-"""Stands for the lines above the first grid; grids are numbered from 1."""
+"""Number that stands for the lines above the first grid; grids are numbered from 1."""
 
 _GRID_LINE_PATTERN = re.compile(r"\s*\[\[\s*grid\s*\]\]")
 # A key stands at the beginning of a line, or in an inline table behind its brace or a comma.
@@ -62,7 +62,7 @@ def read_experiments(path: Path | str) -> list[Experiment]:
 
 
 def _experiments_of_grid(grid: dict[str, Any], folder: Path) -> Iterator[Experiment]:
-    """Yield the experiments of a grid, whose paths of graphs begin at ``folder``.
+    """Yield the experiments of a grid. Files of graphs are searched for in ``folder``.
 
     Raises ParameterError for anything invalid.
     """
@@ -117,7 +117,10 @@ def _error_with_line(path: Path, text: str, grid_number: int, error: ParameterEr
 
 
 def _lines_with_key(text: str, key: str) -> dict[int, list[str]]:
-    """Return the numbers of the lines that have a key, by the number of their grid, or _ABOVE_GRIDS."""
+    """Return the numbers of the lines that have a key.
+
+    The result has a list of them under the number of their grid, or under _ABOVE_GRIDS.
+    """
     line_numbers_by_grid: dict[int, list[str]] = {}
     current_grid = _ABOVE_GRIDS
     for line_number, line in enumerate(text.splitlines(), start=1):

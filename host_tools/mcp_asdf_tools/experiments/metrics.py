@@ -43,9 +43,10 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
 def _is_near_all_later(
     chunk: NDArray[Any], lowest_after: float, highest_after: float, delta: float
 ) -> NDArray[np.bool_]:
-    """Return for each value of a chunk whether it is less than ``delta`` from all values after it.
+    """Return an array that is True where a value of a chunk is near all later values of the series.
 
-    ``lowest_after`` and ``highest_after`` are the extremes of the values after the chunk.
+    Near means that they differ by less than ``delta``. Later values are those in the rest of the chunk and
+    those after it, of which ``lowest_after`` is the lowest and ``highest_after`` the highest.
     """
     # For each value of the chunk, the lowest and the highest value from it to the end of the series.
     lowest_to_end = _extremes_to_end(np.minimum, np.minimum(chunk, lowest_after))
@@ -58,9 +59,10 @@ def _is_near_all_later(
 def _extremes_after_chunks(
     extreme: np.ufunc, series: NDArray[Any], chunk_starts: NDArray[np.int64]
 ) -> NDArray[Any]:
-    """Return for each chunk of a series the extreme, np.minimum or np.maximum, of all values after the chunk.
+    """Return an array with an element for each chunk of a series: the extreme of all values after the chunk.
 
-    No values come after the last chunk; for it the last value of the series is returned.
+    ``extreme`` is np.minimum for the lowest values, or np.maximum for the highest. No values come after the
+    last chunk; its element is the last value of the series.
     """
     extremes_of_chunks = extreme.reduceat(series, chunk_starts)
     extremes_from_chunks = _extremes_to_end(extreme, extremes_of_chunks)
@@ -70,7 +72,10 @@ def _extremes_after_chunks(
 
 
 def _extremes_to_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
-    """Return for each value the extreme, np.minimum or np.maximum, of it and all values after it."""
+    """Return an array whose element i is the extreme of ``values[i:]``.
+
+    ``extreme`` is np.minimum for the lowest values, or np.maximum for the highest.
+    """
     extremes_from_last: NDArray[Any] = extreme.accumulate(values[::-1])
     return extremes_from_last[::-1]
 

@@ -50,12 +50,12 @@ def lock_file(path: Path) -> str | None:
 
 
 def _is_open_file(path: Path, descriptor: int) -> bool:
-    """Return whether a path names the file that is open under a descriptor, not another one or none."""
+    """Return whether the file at a path is the one that is open under a descriptor."""
     return path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
 
 
 def _write_own_id(descriptor: int) -> None:
-    """Write this process's id into an open file, in place of what it contains."""
+    """Replace the content of an open file by the id of this process."""
     # A process that was killed leaves its file, whose id may be longer.
     os.ftruncate(descriptor, 0)
     os.write(descriptor, str(os.getpid()).encode())

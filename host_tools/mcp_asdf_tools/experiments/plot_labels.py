@@ -32,7 +32,7 @@ def flawed_share(experiment: Experiment) -> float:
 
 
 def shown_value(experiment: Experiment, parameter_name: str) -> Any:
-    """Return the value of a parameter as pictures show it: of ``flawed`` the share of the robots."""
+    """Return the value of a parameter as pictures show it: for ``flawed`` a share of the robots."""
     if parameter_name == "flawed":
         return flawed_share(experiment)
     return experiment.parameters()[parameter_name]
@@ -123,7 +123,7 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     all_parameters = [_effective_parameters(trials.experiment) for trials in experiments]
     for name in _CAPTION_PARAMETERS:
         values = {parameters[name] for parameters in all_parameters if name in parameters}
-        # One that differs is named in the legend or in the titles of the panels.
+        # A parameter that differs is named in the legend or in the titles of the panels.
         if len(values) == 1:
             details.append(f"{name.replace('_', ' ')} {format_for_legend(values.pop())}")
     details.append(f"{_describe_trial_counts(experiments)} trials of each experiment")
@@ -132,7 +132,7 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
 
 
 def _describe_limits(experiments: Sequence[Trials], limits: Limits) -> str:
-    """Return the limits K_max and e_max of the experiments' scores; of K_max all that occur."""
+    """Return a text with K_max and e_max; if experiments have different K_max, it names all of them."""
     k_limits = {limits.of(trials.experiment)[0] for trials in experiments}
     k_text = " and ".join(format_for_legend(k_max) for k_max in sorted(k_limits))
     return f"$K_{{max}}$ = {k_text}, $e_{{max}}$ = {format_for_legend(limits.e_max)}"

@@ -70,8 +70,8 @@ def create_panels(
 
     Returns the figure and its panels, row by row. A panel is ``panel_height`` inches high, and a row has up
     to ``max_columns`` of them. They have the same y axis, and unless ``sharex`` is false the same x axis.
-    ``series_count`` is the number of series that the legend will have. Raises UsageError for more than 32
-    panels or 8 series, which do not fit a picture.
+    ``series_count`` is the number of series in the whole picture. Raises UsageError for more than 32 panels
+    or 8 series, which do not fit a picture.
     """
     _check_fits_picture(count, series_count)
     column_count = min(count, max_columns)
@@ -135,9 +135,9 @@ class Series:
     experiments: list[Trials]
 
     def select(self, **values: Any) -> Series:
-        """Return this series with only the experiments whose parameters have these values in pictures.
+        """Return this series with those of its experiments in which the named parameters have these values.
 
-        The value of ``flawed`` is the share of the robots.
+        The values are those of ``shown_value``, so ``flawed`` is a share of the robots.
         """
         selected = self.experiments
         for name, value in values.items():
@@ -148,7 +148,7 @@ class Series:
 def legend_of_series(
     all_series: Sequence[Series], marker: str = "o", line: Literal["", "-"] = ""
 ) -> list[Line2D]:
-    """Return an entry of a legend for each series, with a marker, a line or both in the series' colour."""
+    """Return the entries of a legend, one for each series: a marker, a line or both in its colour."""
     return [legend_handle(series.label, series.colour, marker, line) for series in all_series]
 
 

@@ -245,7 +245,8 @@ def _read_row_group(path: Path, index: int, columns: Sequence[str] | None) -> pa
     file = _open_checked(path)
     stored_columns = None
     if columns is not None:
-        # To convert an earlier format the number of robots is needed, and that of rows, which any column has.
+        # To convert an earlier format, the number of robots is needed. The column "trial" gives the table its
+        # number of rows, if no other column is stored.
         needed_columns = {*columns, "robots", "trial", *FORMER_PARAMETERS}
         stored_columns = [name for name in file.schema_arrow.names if name in needed_columns]
     with _name_file_in_errors(path):
@@ -292,9 +293,9 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
 
 
 def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> int:
-    """Return the format of a file, one of READABLE_FORMATS, by its metadata.
+    """Return the format that the metadata of a file name, which is one of READABLE_FORMATS.
 
-    Raises UsageError if they are not those of results in such a format.
+    Raises UsageError if the metadata are not those of results, or name another format.
     """
     try:
         metadata = json.loads(file_metadata.get(METADATA_KEY, b"{}"))
@@ -338,9 +339,9 @@ def _check_former_parameters(path: Path, table: pa.Table) -> None:
 
 
 def _check_schema(path: Path, schema: pa.Schema, file_format: int) -> None:
-    """Raise UsageError if columns of results are missing, there twice or not of their type in a format.
+    """Raise UsageError if a column of results is missing, is there twice, or has a wrong type.
 
-    A parameter may be missing, since it may be newer than the file.
+    The types are those of ``file_format``. A parameter may be missing, since it may be newer than the file.
     """
     types = column_types()
     if file_format != PRESENT_FORMAT:

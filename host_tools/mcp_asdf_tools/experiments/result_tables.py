@@ -71,7 +71,7 @@ _ATTRIBUTE_BY_LIST_COLUMN = {
     "tests": "tests",
     "updates": "updates",
 }
-"""Columns of lists without records, with the attribute of ``Trials`` that each contains."""
+"""Attributes of ``Trials`` by the names of the columns that contain them, without those of records."""
 
 RECORD_COLUMNS = {name: f"record_{name}" for name in QUANTITIES}
 """Name of the column of each recorded quantity."""
@@ -222,9 +222,9 @@ def trials_to_table(trials: Trials) -> pa.Table:
 
 
 def _lists_of_robots(trials: Trials) -> dict[str, Any]:
-    """Return the columns of lists by name: those of results, and those of records.
+    """Return the columns that have a list in each row, by name: results of the robots, and records.
 
-    Tables have columns of records, with empty lists, even if nothing was recorded.
+    If nothing was recorded, there are columns of records, too, with empty lists.
     """
     columns: dict[str, Any] = {}
     for name, attribute in _ATTRIBUTE_BY_LIST_COLUMN.items():
@@ -370,7 +370,7 @@ def score_table(table: pa.Table, limits: Limits) -> pa.Table:
 
 
 def replace_column(table: pa.Table, name: str, values: Any) -> pa.Table:
-    """Return a table with other values, of the type of results, in the column of this name."""
+    """Return a table with other values in the column of this name, converted to its type in results."""
     column = pa.array(values, column_types()[name])
     return table.set_column(table.column_names.index(name), name, column)
 

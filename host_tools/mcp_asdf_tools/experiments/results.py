@@ -128,9 +128,9 @@ def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) 
 
 
 def _select_by_value(experiments: Sequence[Trials], parameter_name: str, value: Any) -> list[Trials]:
-    """Return the experiments whose parameter has a value, as a text or as a number.
+    """Return the experiments in which a parameter has a value, which may be given as a text or a number.
 
-    Raises UsageError, with the existing values, if there is none.
+    Raises UsageError, with the existing values, if no experiment has it.
     """
     existing_texts: set[str] = set()
     selected = []

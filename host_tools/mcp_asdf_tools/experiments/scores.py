@@ -1,4 +1,7 @@
-"""Names and limits of the paper's scores. They load fast; ``metrics``, which computes scores, loads numpy."""
+"""Names and limits of the paper's scores.
+
+``metrics`` computes the scores. It needs numpy, which loads slowly, and this module does not.
+"""
 
 from __future__ import annotations
 

@@ -163,9 +163,9 @@ class Store:
                 self._set_rows(experiment, trial_numbers[rows], rows_in_all_files)
 
     def _set_rows(self, experiment: Experiment, numbers: NDArray[np.int64], rows: NDArray[np.int64]) -> None:
-        """Note the row in which each trial of these numbers has its results.
+        """Note that the trials of these numbers have their results in these rows.
 
-        Raises UsageError if the sweep does not have the experiment, or so many trials of it.
+        Raises UsageError if the sweep lacks the experiment, or one of these trials of it.
         """
         row_of_trial = self._row_of_trial.get(_result_key(experiment))
         if row_of_trial is None or numbers.max() >= len(row_of_trial):
@@ -173,7 +173,7 @@ class Store:
         row_of_trial[numbers] = rows
 
     def _other_results_error(self) -> UsageError:
-        """Return the error for an output that holds results that this sweep would not have."""
+        """Return the error that says that the files have results which this sweep would not have."""
         return UsageError(
             f"{self.output} or its parts hold results of other experiments, recordings or "
             "versions; choose another name or move it away"
@@ -306,8 +306,8 @@ class Store:
         if self._unwritten:
             self._row_groups.add(pa.concat_tables(self._unwritten))
         rows = np.concatenate([self._rows_of(experiment) for experiment in self.experiments])
-        # An experiment has as many rows as trials, and this number stands in each of them. It is written
-        # anew, since a row from a sweep with fewer trials has another number there.
+        # An experiment has as many rows as trials, and each row has this number in the column "trials". It is
+        # written anew, since a row from a sweep with fewer trials has another number there.
         trial_counts = [experiment.trials for experiment in self.experiments]
         trials_column = np.repeat(trial_counts, repeats=trial_counts)
         for start in range(0, len(rows), self._rows_per_part):

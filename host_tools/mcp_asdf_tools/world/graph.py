@@ -155,7 +155,7 @@ def _format_edges(graph: Any) -> list[str]:
 
 @dataclass(frozen=True)
 class _Edge:
-    """An edge of a text.
+    """An edge between two robots, as a line of a text has it.
 
     Attributes:
         first_id: Id that stands first; with an arrow, that of the sender.
@@ -214,7 +214,7 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
 
 
 def _parse_edge(edge_text: str, position: str) -> _Edge:
-    """Return the edge of a line without its comment.
+    """Return the edge that a text such as ``3 5`` or ``3 > 5`` describes; the text has no comment.
 
     ``position`` says where the line stands, such as "a.txt, line 7", and begins messages. Raises UsageError
     for a text that is no edge, an id that is too large, and an edge from a robot to itself.

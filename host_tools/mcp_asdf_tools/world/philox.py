@@ -90,7 +90,7 @@ class Stream(NamedTuple):
         return words[words_to_skip : words_to_skip + steps].astype(np.uint32)
 
     def _draw_blocks(self, first_block: int, end_block: int) -> WordArray:
-        """Return the random words of the blocks of all robots from ``first_block`` to before ``end_block``.
+        """Return the random words of blocks ``first_block`` .. ``end_block - 1``, by step and robot.
 
         A block has the words of four consecutive steps, so the shape is (4 blocks, robots).
         """

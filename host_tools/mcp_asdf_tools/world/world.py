@@ -104,7 +104,7 @@ class World:
         )
 
     def _has_observation(self, first_step: int, steps: int) -> NDArray[np.bool_]:
-        """Return whether robots observe in each of some steps from ``first_step`` on, shape (steps,).
+        """Return for ``steps`` steps from ``first_step`` on whether robots observe in them, shape (steps,).
 
         They observe at the end of every period: with period 3 in the third step, the sixth, and so on.
         """

@@ -372,7 +372,7 @@ def test_a_file_in_the_present_format_with_records_as_in_format_5_is_refused(pat
 
 
 def test_a_column_that_another_program_has_added_stays_behind_the_others(path: Path) -> None:
-    """The other program has put it first."""
+    """The other program has put its column first, and the table that is read has it last."""
     table = valid_results_table()
     pq.write_table(table.add_column(0, "remark", pa.array(["mine"] * len(table))), path)
 
@@ -428,9 +428,9 @@ def tables_with_damaged_column(table: pa.Table, name: str) -> Iterator[tuple[pa.
 
 
 def damages_of_lists(lists: list[Any], *, is_record: bool) -> Iterator[list[Any]]:
-    """Yield the lists of a column with one that is too short, with gaps in all, and with all empty.
+    """Yield the lists of a column in several damaged versions: one list too short, gaps in all, or all empty.
 
-    A record is a list for each step, with a value of each robot; two damages are in the last step's alone.
+    A record is a list that has a list for each step. It is also damaged in the last step alone, in two ways.
     """
     first_list, *other_lists = lists
     yield [*other_lists, first_list[:-1]]

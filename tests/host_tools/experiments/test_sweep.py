@@ -542,7 +542,7 @@ def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
 def test_a_line_of_progress_has_no_time_left_before_the_first_trial_is_finished(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """After a minute nothing of the trials is done, so there is no rate. FORCE_COLOR is emptied as above."""
+    """After a minute no trial is finished, so there is no rate. FORCE_COLOR is emptied as above."""
     monkeypatch.setenv("FORCE_COLOR", "")
     now = Mock(return_value=0.0)
     monkeypatch.setattr(progress_bar, "time", SimpleNamespace(monotonic=now))

@@ -93,13 +93,13 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
             slot_position = slots.index(_slot_of(trials.experiment))
             scores = trials.scores(limits)["H"]
             _draw_box(axes, scores, slot_position + middle_of_box_in_slot, box_width, series.colour)
-    _label_slots(axes, slots)  # after the boxes, which set limits and labels of their own
+    _label_slots(axes, slots)  # after the boxes, as each call of boxplot sets limits and labels, too
 
 
 def _label_slots(axes: Axes, slots: Sequence[tuple[float, float]]) -> None:
-    """Set the limits of a panel, and write offset and share of each slot below it.
+    """Set the limits of a panel's axes, and write below each slot its offset and share of flawed robots.
 
-    Slots stand at 0, 1, 2 and so on along the x axis.
+    ``slots`` has the share and the offset of each. They stand at 0, 1, 2 and so on along the x axis.
     """
     # H is at most 100; above it is room for the outlines of boxes and points there.
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))

@@ -131,11 +131,11 @@ class _CurvePlot:
     """A picture of curves.
 
     Attributes:
-        experiments: What is drawn; it differs only in ``x``, ``hue`` and the parameter of the panels.
+        experiments: What is drawn; they differ only in ``x``, ``hue`` and the parameter of the panels.
         x: The parameter along x.
         y: The name of one of MEASURES, or a function that measures trials.
-        hue: The parameter of which each value has a curve; empty for a single curve.
-        limits: Those of scores.
+        hue: The parameter that has a curve for each of its values; empty for a single curve.
+        limits: Limits of the scores.
     """
 
     experiments: Sequence[Trials]
@@ -167,7 +167,7 @@ class _CurvePlot:
         for axes, value in zip(panels, facet_values, strict=True):
             series_of_panel = all_series
             if facet:
-                # Of every series, so that each has the same colour in all panels.
+                # Every panel selects from the same series, which so have one colour in all panels.
                 series_of_panel = [series.select(**{facet: value}) for series in all_series]
                 axes.set_title(parameter_with_value(facet, value), fontsize=MEDIUM)
             self._draw_curves(axes, series_of_panel)
@@ -182,7 +182,7 @@ class _CurvePlot:
         return self.y if isinstance(self.y, str) else getattr(self.y, "__name__", "y")
 
     def _legend(self, all_series: Sequence[Series]) -> list[Line2D]:
-        """Return an entry of the legend for each series, or none for a single curve without a hue."""
+        """Return the entries of the legend, one for each series; without a hue the legend is empty."""
         return legend_of_series(all_series, line="-") if self.hue else []
 
     def _draw_curves(self, axes: Axes, series_of_panel: Sequence[Series]) -> None:
@@ -194,7 +194,7 @@ class _CurvePlot:
         x_values = shown_values(self.experiments, self.x)
         position_by_x = {x: x for x in x_values}
         if any(isinstance(x, str) and len(x) > MAX_LABEL_LENGTH for x in x_values):
-            # Long texts would cover each other, so that their places are numbered.
+            # Long texts are no numbers, so the axis has the index of each instead.
             position_by_x = {x: index for index, x in enumerate(x_values)}
             axes.set_xticks(range(len(x_values)), [shorten(x) for x in x_values])
         for series in series_of_panel:
@@ -215,7 +215,10 @@ class _CurvePlot:
             draw_band(axes, positions, band, series.colour, "o-")
 
     def _measure(self, trials: Trials) -> NDArray[np.float64]:
-        """Return y of each trial. Raises UsageError if it is a function that returns anything else."""
+        """Return y of each trial, shape (trials,).
+
+        Raises UsageError if y is a function that returns an array of another shape.
+        """
         if isinstance(self.y, str):
             # For the type alone: all MEASURES are floats, but measures() also returns counts.
             return np.asarray(trials.measures(self.limits)[self.y], dtype=np.float64)

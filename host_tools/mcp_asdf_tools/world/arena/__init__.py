@@ -29,8 +29,8 @@ _KIND_OF_MEMBER: dict[str, type[np.generic]] = {
     "wheels": np.uint8,
     "avoids": np.uint8,
 }
-"""Members of the C struct that have a value for each robot, and the type of the values; (cx, cy) is the
-heading."""
+"""Types of the members of the C struct that have a value for each robot. (x, y) is its position, and (cx, cy)
+its heading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +135,9 @@ class Arena:
         )
 
     def _linked_pairs(self) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """Return the pairs of robots that receive from each other now: the lower ids, and the higher ones.
+        """Return the lower ids and the higher ids of the pairs of robots that receive from each other now.
 
-        They are views of the C memory, which hold until the next step.
+        Both arrays are views of the C memory, which hold until the next step.
         """
         bytes_in_pair = 4  # two ids of 16 bits
         links = _arena.ffi.buffer(self._arena.links, bytes_in_pair * self._arena.link_count)
