@@ -39,7 +39,7 @@ def report_scores(path: Path, limits: Limits, as_json: bool, **details: object) 
 
 
 def summarize(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any]]:
-    """Return for each experiment a row of plain values, for JSON and for ``print_scores``.
+    """Return a row of plain values for each experiment, for JSON and for ``print_scores``.
 
     A row has the keys ``parameters``, ``filter`` (a description), ``trials`` (their number) and ``limits``
     (of the scores), and the name of each measure, such as the score H, with its quartiles over the trials:
@@ -99,12 +99,12 @@ def _describe_trial_count(row: dict[str, Any]) -> str:
 
 
 def _describe_score(quartiles: dict[str, float]) -> str:
-    """Return the median of a score, and its other two quartiles in brackets."""
+    """Return a text with the median of a score, and its other two quartiles in brackets."""
     return f"{quartiles['median']:.2f} [{quartiles['q25']:.2f}, {quartiles['q75']:.2f}]"
 
 
 def _caption(rows: Sequence[dict[str, Any]]) -> str:
-    """Return what a summary's table has below it: the filters, and the limits of the scores."""
+    """Return the text below the table of a summary, which names the filters and the limits of the scores."""
     filter_lines = sorted({row["filter"] for row in rows})
     # Without --k-max each experiment's limit is the length of its own trials.
     k_maxima = {row["limits"]["k_max"] for row in rows}

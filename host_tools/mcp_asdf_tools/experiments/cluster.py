@@ -62,7 +62,7 @@ def _wait_for_worker(client: Any, address: str) -> None:
 
 @contextmanager
 def _explaining_losses(dask: Any, client: Any, address: str) -> Iterator[None]:
-    """Context manager that raises UsageError, with the fix, where Dask raises that a job or cluster is lost.
+    """Raise UsageError, with the fix, where Dask raises in this context that a job or the cluster is lost.
 
     What a job itself has raised passes unchanged, unless it is an OSError.
     """

@@ -203,7 +203,7 @@ def _common_filter(experiments: Sequence[Trials]) -> str:
 
 
 def accuracy_offset(experiment: Experiment) -> float:
-    """Return the accuracy that flawed robots assume less the true one, b; 0 if no robot is flawed."""
+    """Return the accuracy that flawed robots assume minus the true one, b; 0 if no robot is flawed."""
     if not experiment.flawed:
         return 0.0
     # Rounding makes differences equal that differ by the error of floats alone, such as 0.9 - 0.8 and 0.1.

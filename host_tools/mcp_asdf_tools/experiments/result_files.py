@@ -223,7 +223,7 @@ class RowGroups:
 
 
 def _take_rows(table: pa.Table, rows: NDArray[np.int64]) -> pa.Table:
-    """Return the rows of these numbers, at least one, in the order of ``rows``."""
+    """Return a table with the rows of these numbers, in the order of ``rows``, which has at least one."""
     first = rows[0]
     if np.array_equal(rows, np.arange(first, first + len(rows))):
         # Consecutive rows, such as those of a sweep on one process, need no copy, which would be slow.
@@ -276,9 +276,9 @@ def _open_checked(path: Path) -> pq.ParquetFile:
 
 @contextmanager
 def _name_file_in_errors(path: Path) -> Iterator[None]:
-    """Context manager for reading ``path``: it turns an error into a UsageError that names the path.
+    """Raise UsageError, which names ``path``, where reading that file in this context has failed.
 
-    These are errors of the system, of pyarrow and of the encoding of texts; a UsageError passes unchanged.
+    Errors of the system, of pyarrow and of the encoding of texts are replaced; a UsageError passes unchanged.
     If the file is missing since its sweep is not finished, the message says so.
     """
     try:

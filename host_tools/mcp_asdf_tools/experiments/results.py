@@ -79,7 +79,7 @@ class Trials:
         return score(self.convergence_steps, self.errors, *limits.of(self.experiment))
 
     def measures(self, limits: Limits = PAPER_LIMITS) -> dict[str, NDArray[np.float64 | np.signedinteger]]:
-        """Return a value for each trial, by name.
+        """Return the measures of the trials by name, with a value for each trial.
 
         The names are those of the scores, "K" and "e" for the means of convergence steps and errors over the
         robots, and "updates" for the sum of the robots' re-estimates of b_hat.
@@ -172,7 +172,7 @@ def describe_differences(experiments: Sequence[Trials]) -> str:
 
 
 def find_differences(parameters_of_experiments: Iterable[Mapping[str, Any]]) -> dict[str, set[Any]]:
-    """Return the parameters of which experiments have more than one value, with all values of each."""
+    """Return the values of those parameters in which experiments differ, by the names of the parameters."""
     values_by_parameter: dict[str, set[Any]] = {name: set() for name in PARAMETER_NAMES}
     for parameters in parameters_of_experiments:
         for name, value in parameters.items():
@@ -219,7 +219,7 @@ _CSV_RESULT_COLUMNS = (*SCORES, "mean_K", "mean_e", "mean_b_hat", "tests", "upda
 
 
 def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
-    """Return the results of trials for a CSV file, a value for each trial, by the name of the column.
+    """Return the columns of a CSV file that have results, by name, with a value for each trial.
 
     Besides the columns of _CSV_RESULT_COLUMNS there are measures that the file does not have.
     """

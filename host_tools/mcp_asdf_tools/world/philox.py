@@ -79,7 +79,7 @@ class Stream(NamedTuple):
     robots: int
 
     def draw_words(self, steps: int, first_step: int = 0) -> NDArray[np.uint32]:
-        """Return the random words of 32 bits for ``steps`` steps from ``first_step`` on, one for each robot.
+        """Return the random words of 32 bits for ``steps`` steps from ``first_step`` on, by step and robot.
 
         The shape is (steps, robots). A step's words do not depend on the steps that are drawn with it. Whole
         blocks are drawn, and the words before the first step and after the last one left out.
@@ -106,7 +106,7 @@ class Stream(NamedTuple):
         return words_by_block.reshape(-1, self.robots)
 
     def draw_uniforms(self, steps: int, first_step: int = 0) -> NDArray[np.float64]:
-        """Return random numbers in (0, 1) for ``steps`` steps from ``first_step`` on, one for each robot.
+        """Return random numbers in (0, 1) for ``steps`` steps from ``first_step`` on, by step and robot.
 
         The shape is (steps, robots). Each is the middle of one of 2**32 equal intervals, which a random word
         chooses.

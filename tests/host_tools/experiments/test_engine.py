@@ -126,7 +126,7 @@ EXTREMES_OF_THE_ROBUST_FILTER: dict[str, dict[str, Any]] = {
 
 
 def varied(experiment: Experiment, changes: Mapping[str, dict[str, Any]]) -> list[Experiment]:
-    """Return the experiment with each of these changes."""
+    """Return copies of the experiment, one for each of these changes."""
     return [replace(experiment, **parameters) for parameters in changes.values()]
 
 
@@ -297,7 +297,7 @@ def processor_has(flag: str) -> bool:
 def test_an_engine_built_for_each_size_of_vectors_equals_the_firmware_to_the_bit(
     architecture: str, flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Skips sizes that the processor lacks; /proc/cpuinfo has a flag for each.
+    """The test skips sizes that the processor lacks; /proc/cpuinfo has a flag for each size.
 
     An engine that was built for these vectors takes the place of the installed one. It computes experiments
     at the ends of parameters' ranges, with the 17 trials 4 to 20, which are more than the 16 lanes, and
@@ -510,7 +510,7 @@ def test_a_trial_whose_robots_find_no_room_in_their_arena_is_refused() -> None:
 
 
 class ExperimentWithBHatZero(Experiment):
-    """Gives every robot the accuracy 0, which the firmware refuses."""
+    """An experiment that gives every robot the accuracy 0, which the firmware refuses."""
 
     def b_hat(self, robot: int) -> float:
         return 0.0

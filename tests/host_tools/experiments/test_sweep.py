@@ -317,7 +317,7 @@ def set_clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
 
 
 def record_files_written(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Return a list to which the name of each file that stores write from now on is added."""
+    """Return a list that grows when a store writes a file: the name of the file is added."""
     files_written: list[str] = []
     write_tables = result_files.write_tables
 

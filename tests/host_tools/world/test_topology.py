@@ -56,7 +56,7 @@ def test_a_graph_file_without_edges_is_refused(text: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("graph_without_edges", [[], "", " ; ", np.zeros((3, 3), np.bool_)])
 def test_an_object_or_a_text_without_edges_is_refused(graph_without_edges: object) -> None:
-    """For example an empty list, or an array that has no robot receive from another."""
+    """An empty list has none, for example, nor has an array in which no robot receives from another."""
     with pytest.raises(UsageError, match="graph has no edge"):
         parse_graph(graph_without_edges)
 
@@ -192,6 +192,6 @@ def test_an_undirected_graph_of_networkx_has_both_directions(
     [np.zeros((3, 4), np.bool_), np.zeros(4, np.bool_), [(1, 2, 3)], [("1", 2)], Mock(spec=["edges"])],
 )
 def test_an_object_that_is_no_graph_is_refused(wrong_object: object) -> None:
-    """Such as an array that is not square, or a list of three ids. The error says what to give instead."""
+    """One object is an array that is not square, for example. The error says what to give instead."""
     with pytest.raises(UsageError, match=r"graph (is|has) .*; give a"):
         parse_graph(wrong_object)

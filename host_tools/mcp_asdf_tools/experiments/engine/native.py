@@ -96,7 +96,7 @@ class EngineTrials:
         return members
 
     def _make_configs(self, experiment: Experiment) -> Any:
-        """Return the C array of pointers to each robot's config; robots with equal ones share it."""
+        """Return the C array of pointers to the robots' configs; robots with equal configs share one."""
         configs = [experiment.config(robot) for robot in range(experiment.robots)]
         struct_by_config: dict[Config, Any] = {}
         for config in set(configs):
