@@ -433,11 +433,11 @@ def choose_bus(typed_settings: Mapping[str, Any]) -> BusChoice:
 
     A setting is an argument of ``can.Bus``, such as interface or channel. Its value comes from the first of
     these sources that states it: ``typed_settings``, which the user has typed; python-can's ``can.rc``,
-    variables and files; the defaults of this program. Raises UsageError if python-can's settings cannot be
-    read.
+    variables and files; the defaults of this program. ``bustype``, an old name of python-can for the
+    interface, counts only if no source states ``interface``. Raises UsageError if python-can's settings
+    cannot be read.
     """
     settings = _load_python_can_settings() | dict(typed_settings)
-    # "bustype" is the old name, which python-can's files may still have.
     old_interface = settings.pop("bustype", None)
     interface = str(settings.pop("interface", None) or old_interface or DEFAULT_INTERFACE)
     return BusChoice(interface, _DEFAULTS.get(interface, {}) | settings)

@@ -386,22 +386,26 @@ def test_a_bus_is_chosen_by_options_before_rc_before_variables_before_files(
 
     bus = bus_from_options("-c", "of_option")
 
-    assert bus.settings["channel"] == "of_option"
-    assert bus.settings["bitrate"] == "of_rc"
     assert bus.interface == "udp_multicast"  # of the variable
-    assert bus.settings["port"] == "of_file"
+    # The hop limit is a default of this program, for multicast.
+    assert bus.settings == {"channel": "of_option", "bitrate": "of_rc", "port": "of_file", "hop_limit": 0}
 
 
-def test_an_interface_may_have_the_name_bustype_in_files_and_another_source_still_decides(
+def test_the_name_bustype_for_an_interface_counts_if_no_source_has_the_name_interface(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Old files of python-can call it so."""
+    """Old files and programs of python-can call it so. A variable with the new name comes before them all."""
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.delenv("CAN_INTERFACE", raising=False)
     (tmp_path / ".canrc").write_text("[default]\nbustype=udp_multicast\nchannel=of_file")
-
     assert bus_from_options().interface == "udp_multicast"
     assert bus_from_options("-i", "virtual").interface == "virtual"
+
+    monkeypatch.setattr(can, "rc", {"bustype": "of_rc"})
+    monkeypatch.setenv("CAN_INTERFACE", "virtual")
+    bus = bus_from_options()
+    assert bus.interface == "virtual"
+    assert "bustype" not in bus.settings
 
 
 def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(

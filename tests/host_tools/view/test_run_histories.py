@@ -230,6 +230,29 @@ def test_the_chart_of_errors_also_has_the_errors_of_the_same_swarm_without_a_fil
     assert errors_in_chart == np.round(mean_errors, 5).tolist()
 
 
+def largest_change(values_by_state: list[NDArray[np.float64]]) -> float:
+    """Return the largest difference between two values of the same robot in any states."""
+    values = np.array(values_by_state)
+    changes_of_robots = values.max(axis=0) - values.min(axis=0)
+    return float(changes_of_robots.max())
+
+
+def test_robots_estimates_and_accuracies_change_by_more_than_a_tenth_in_the_compared_swarm() -> None:
+    """Without changes in x and b_hat, equal states of log, trial and swarm would be no evidence.
+
+    In the compared swarm robots move, and the accuracies of their sensors drift.
+    """
+    history = record_swarm(topology="dynamic", drift="linear", drift_rate=-1e-3)
+    x_by_state, b_hat_by_state = [], []
+    for state in states_of(history):
+        x, _x_hat, b_hat, _true_accuracy = state.values
+        x_by_state.append(x)
+        b_hat_by_state.append(b_hat)
+
+    assert largest_change(x_by_state) > 0.1
+    assert largest_change(b_hat_by_state) > 0.1
+
+
 def test_the_errors_without_a_filter_beside_a_trial_are_those_of_this_trial() -> None:
     """Trial 1 has other random numbers than trial 0. It is also run without a filter here, for comparison."""
     experiment = Experiment(**PARAMETERS | {"filter": "asdf-minus", "steps": 60}, trials=2)
