@@ -127,9 +127,22 @@ def estimate_that_predicts(robust: RobustFilter, share: float) -> int:
     return _limit_estimate(round(fill_ratio * SLOT_ONE))
 
 
+def agreeing_estimate(robot: State) -> int:
+    """Return the estimate that best predicts the share of black observations of a robot that has observed.
+
+    It is in units of 2**-16.
+    """
+    return estimate_that_predicts(robot.robust, robot.n / robot.t)
+
+
 def opposite_end(estimate: int) -> int:
     """Return 0 for an estimate above 1/2, and the largest estimate for any other. Units are 2**-16."""
     return 0 if estimate > SLOT_HALF else SLOT_ESTIMATE_MAX
+
+
+def slots_at_test(robot: State, estimates: Sequence[int]) -> SlotsAtTest:
+    """Return these estimates, with all of the robot's state that a test before its next observation needs."""
+    return SlotsAtTest(tuple(estimates), filter_at_test(robot), robot.t, robot.n)
 
 
 def draw_slots_at_threshold(
@@ -151,9 +164,9 @@ def draw_slots_at_threshold(
         the direction that was drawn, or if too many of the second ones support the robot.
     """
     # The first estimates agree with the observations, and are then moved away from them in one direction.
-    agreeing_estimate = estimate_that_predicts(filter_at_test(robot), robot.n / robot.t)
-    estimates = [agreeing_estimate + rng.randint(-width, width) for _ in range(count)]
-    slots = _slots_at_test(robot, estimates)
+    middle = agreeing_estimate(robot)
+    estimates = [middle + rng.randint(-width, width) for _ in range(count)]
+    slots = slots_at_test(robot, estimates)
     direction = rng.choice((-1, 1))
     steps_to_end = count * SLOT_ONE  # after them all estimates are at the end of the range
     if slots.is_rejected or not slots.moved(direction, steps_to_end).is_rejected:
@@ -164,11 +177,6 @@ def draw_slots_at_threshold(
     if rejected_slots.is_supported:
         return None
     return accepted_slots, rejected_slots
-
-
-def _slots_at_test(robot: State, estimates: Sequence[int]) -> SlotsAtTest:
-    """Return these estimates with what a test of the robot before its next observation needs beside them."""
-    return SlotsAtTest(tuple(estimates), filter_at_test(robot), robot.t, robot.n)
 
 
 def _last_steps_accepted(slots: SlotsAtTest, direction: int, rejected_steps: int) -> int:
@@ -194,10 +202,10 @@ def slots_with_supporters(robot: State, count: int, supporter_count: int) -> Slo
     the estimate that contradicts it most. Returns None if the test does not reject by these estimates, or if
     the firmware would count others as supporters, too, or not all of these.
     """
-    supporter = estimate_that_predicts(filter_at_test(robot), robot.n / robot.t)
+    supporter = agreeing_estimate(robot)
     other = opposite_end(supporter)
     estimates = (supporter,) * supporter_count + (other,) * (count - supporter_count)
-    slots = _slots_at_test(robot, estimates)
+    slots = slots_at_test(robot, estimates)
     should_be_supported = 5 * supporter_count > 2 * count  # more than two in five
     if not slots.is_rejected or slots.is_supported != should_be_supported:
         return None

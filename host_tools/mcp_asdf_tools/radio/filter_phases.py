@@ -256,7 +256,7 @@ def re_estimate_often(bench: Bench) -> None:
 
 def _draw_distant_estimates_of_scale(bench: Bench, scale: tuple[int, int]) -> list[NeighbourEstimate]:
     """Draw estimates far from the controller's own, with confidences of a scale, as in ``ALPHA_SCALES``."""
-    distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
+    distant_estimates = _draw_distant_estimates(bench)
     alphas = draw_alphas_of_one_scale(bench.rng, len(distant_estimates), scale)
     return [estimate._replace(alpha=alpha) for estimate, alpha in zip(distant_estimates, alphas, strict=True)]
 

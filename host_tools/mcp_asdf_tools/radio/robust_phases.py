@@ -28,10 +28,10 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
     SLOT_HALF,
     SLOT_INFORMATIVE_DISTANCE,
     SlotsAtTest,
+    agreeing_estimate,
     draw_slots_at_threshold,
-    estimate_that_predicts,
-    filter_at_test,
     opposite_end,
+    slots_at_test,
     slots_with_supporters,
 )
 from mcp_asdf_tools.radio.bench import BURST, Bench
@@ -229,7 +229,7 @@ def test_with_supporters(bench: Bench) -> None:
     # Four of ten do not protect a robot, three of seven and five of twelve do.
     for count, supporter_count in ((7, 3), (10, 4), (12, 5)):
         bench.activity = f"observations that {supporter_count} of {count} estimates support"
-        craft_slots = partial(slots_with_supporters, bench.model_robot.s, count, supporter_count)
+        craft_slots = partial(slots_with_supporters, bench.model_state, count, supporter_count)
         slots = _observe_until_crafted(bench, craft_slots)
         if slots is not None:
             activity = f"a test in which {supporter_count} of {count} estimates support the robot"
@@ -304,13 +304,8 @@ def re_estimate_often(bench: Bench) -> None:
     After every test that rejects, b_hat is re-estimated, which counts as an update. If no observations make a
     test reject, this is noted as not exercised, and nothing is re-estimated.
     """
-
-    def would_reject() -> bool:
-        """Return whether a test would reject with the estimates that contradict the observations most."""
-        return _would_reject(bench, [_most_contradicting_estimate(bench)] * SLOTS)
-
     bench.activity = "observations until the test rejects"
-    if not _observe_until(bench, would_reject, _more_frequent_colour):
+    if not _observe_until(bench, partial(_can_test_reject, bench), _more_frequent_colour):
         bench.not_exercised.append(bench.activity)
         return
     # From here on there are no observations, so that all tests reject as the first one does.
@@ -450,9 +445,7 @@ def _observe_until_crafted(bench: Bench, craft: Callable[[], Crafted | None]) ->
         crafted = craft()
         if crafted is not None:
             return crafted
-        # No estimates contradict the observations more than this one in every slot.
-        can_test_reject = _would_reject(bench, [_most_contradicting_estimate(bench)] * SLOTS)
-        colour = _rarer_colour(bench) if can_test_reject else _more_frequent_colour(bench)
+        colour = _rarer_colour(bench) if _can_test_reject(bench) else _more_frequent_colour(bench)
         bench.skip_ticks(BURST, partial(Observation, colour))
     bench.not_exercised.append(bench.activity)
     return None
@@ -483,17 +476,18 @@ def _predict_black_share(bench: Bench, fill_ratio: float) -> float:
 
 def _most_contradicting_estimate(bench: Bench) -> int:
     """Return the estimate, 0 or the largest of a slot, that contradicts the robot's observations most."""
-    state = bench.model_state
-    observed_black_share = state.n / state.t
-    agreeing_estimate = estimate_that_predicts(state.robust, observed_black_share)
-    return opposite_end(agreeing_estimate)
+    return opposite_end(agreeing_estimate(bench.model_state))
 
 
 def _would_reject(bench: Bench, estimates: Sequence[int]) -> bool:
     """Return whether a test before the next observation would reject with these estimates in the slots."""
-    state = bench.model_state
-    slots = SlotsAtTest(tuple(estimates), filter_at_test(state), state.t, state.n)
-    return slots.is_rejected
+    return slots_at_test(bench.model_state, estimates).is_rejected
+
+
+def _can_test_reject(bench: Bench) -> bool:
+    """Return whether there are estimates with which a test before the next observation would reject."""
+    # No estimates contradict the observations more than this one in every slot.
+    return _would_reject(bench, [_most_contradicting_estimate(bench)] * SLOTS)
 
 
 # --- Tests that are decided by a hair ---
@@ -525,7 +519,7 @@ def _draw_both_sides(bench: Bench, count: int, width: int) -> tuple[SlotsAtTest,
     accepted_slots: SlotsAtTest | None = None
     rejected_slots: SlotsAtTest | None = None
     for _ in range(_MAX_DRAWS_BY_WIDTH[width]):
-        drawn_slots = draw_slots_at_threshold(bench.model_robot.s, count, width, bench.rng)
+        drawn_slots = draw_slots_at_threshold(bench.model_state, count, width, bench.rng)
         if drawn_slots is None:
             continue
         accepted, rejected = drawn_slots
