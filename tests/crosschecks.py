@@ -62,7 +62,7 @@ def find_failure(first: Firmware, second: Firmware, max_calls: int = CALLS) -> F
 
 
 def check_calls(scenario: Scenario, audit: Audit) -> Iterator[CallRecord]:
-    """Make the calls of a scenario on a mirror, and yield them. Fails if exact arithmetic finds one wrong."""
+    """Make the calls of a scenario on a mirror, and yield a record of each. Exact arithmetic must agree."""
     robot = RobotUnderTest(MirrorRobot, scenario.setup)
     for call in scenario.calls:
         record = CallRecord(scenario.setup, call, before=robot.last_result, after=robot.apply(call))

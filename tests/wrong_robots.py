@@ -433,7 +433,7 @@ ROBUST_FAULTS_BY_PHASE: dict[str, tuple[str, ...]] = {
         "supporters: two fifths",
     ),
 }
-"""Faults of the robust filter by the phase that finds them. ``crosschecks.FAULTS`` has each by its name."""
+"""Names of faults of the robust filter, as in ``crosschecks.FAULTS``, by the phase that finds them."""
 
 WRONG: dict[str, Wrong] = {
     "a buffer of 4 commands": with_node("nothing seen", _follow_command=buffer_4_commands),

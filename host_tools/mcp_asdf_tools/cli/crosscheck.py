@@ -125,8 +125,8 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
 def _replay_report(scenario: Scenario, failure: Failure | None, status: str) -> dict[str, Any]:
     """Return the outcome of one scenario as plain values; ``calls`` is the number of calls that were made.
 
-    The call that failed was the last one. No call was made if both firmwares refuse the robot: then
-    ``status``, the outcome of making it, is another one than OK.
+    The call that failed was the last one. ``status`` is the outcome of making the robot: if it is not OK,
+    both firmwares have refused the robot, and no call was made.
     """
     if failure is not None:
         call_count = len(failure.scenario.calls)
@@ -169,7 +169,7 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
 
 
 def _print_report(report: CrosscheckReport, steps: int, args: argparse.Namespace) -> None:
-    """Print a report of a check of so many steps: tables and a verdict, or JSON with --json.
+    """Print the report of a check of ``steps`` calls: tables and a verdict, or JSON with --json.
 
     If all is good, the last line says how to repeat the check. Otherwise the verdict ends with the line that
     replays the failure.

@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
 
 @dataclass(frozen=True)
 class _RunPlan:
-    """Everything that a run needs to know.
+    """A run of a robot as the options describe it.
 
     Attributes:
         robot_setup: Initial state of the robot.
@@ -118,7 +118,7 @@ class _RunPlan:
 
     @property
     def clock_parameters(self) -> dict[str, Any]:
-        """The parameters that are not of the robot or its bus, by name."""
+        """Ticks in a second and ticks of the whole run, by the names of their options."""
         return {"steps_per_second": self.steps_per_second, "steps": self.steps}
 
 
@@ -199,8 +199,8 @@ def _run_on_bus(
 ) -> RunOutcome:
     """Join the bus and run the node until its steps are done, it is stopped or the bus fails.
 
-    The result says how it has ended. ``record_frame`` is called with every frame sent and received. Raises
-    UsageError if the bus cannot be opened, or if standard input is to end the run and there is none.
+    The result says how the run has ended. ``record_frame`` is called with every frame sent and received.
+    Raises UsageError if the bus cannot be opened, or if standard input is to end the run and there is none.
     """
     from rich.console import Console
 
@@ -217,10 +217,10 @@ def _run_on_bus(
 
 @contextmanager
 def _stopping_at_signal_or_end_of_input(until_eof: bool) -> Iterator[Callable[[], bool]]:
-    """Context in which signals end nothing; it yields a function that tells whether the run should stop.
+    """Context manager that yields a function, which returns whether the run should stop.
 
-    It should when a signal has come and, with ``until_eof``, when the standard input has ended. Raises
-    UsageError if there is no standard input with ``until_eof``.
+    The function returns True once a signal has come, which interrupts nothing by itself. With ``until_eof``
+    it also returns True once the standard input has ended, and UsageError is raised if there is none.
     """
     with stopping() as was_interrupted:
         input_descriptor = standard_input_descriptor() if until_eof else None

@@ -313,7 +313,7 @@ def _run_in_real_time(
 ) -> RadioRun:
     """Run the neighbours of the controller on ``bus``, showing the progress, and return the run at its end.
 
-    The end is that of --steps, a signal, or a failure of the bus.
+    It ends after the ticks of --steps, when a signal comes, or when the bus is gone.
     """
     from mcp_asdf_tools.radio.real_time import RadioRun
     from mcp_asdf_tools.robots.node import BusLink, filters_for

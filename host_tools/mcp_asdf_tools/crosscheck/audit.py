@@ -1,4 +1,4 @@
-"""Errors of results against exact fractions and float64, and counts of what the calls of a cross-check do."""
+"""Collect errors of results against exact fractions and float64, and count what a cross-check's calls do."""
 
 from __future__ import annotations
 
@@ -21,14 +21,19 @@ REGIONS = (
     (0.999, "0.9 to 0.999"),
     (math.inf, "0.999 to 1"),
 )
-"""Upper ends and names of regions: of |2 b_hat - 1|, or for errors of b_hat of |2 x_bar - 1|."""
+"""Upper end and name of each region, in ascending order.
+
+Errors of x_hat and alpha are collected by the region of |2 b_hat - 1|, and errors of b_hat by the region of
+|2 x_bar - 1|."""
 
 QUANTITIES = ("x_hat", "alpha", "b_hat")
 """Quantities whose errors are collected. Errors of alpha are relative, and left out for an alpha below 1/2,
 which has fewer than 24 bits."""
 
 UNGUARDED = replace(PAPER, guarded=False)
-"""Eq. 8 also for an x_bar that carries no information: rounding may give the firmware one that does."""
+"""The paper's equations, of which eq. 8 has a result even for an x_bar that carries no information.
+
+By rounding the firmware may have an x_bar that does carry some."""
 
 
 @dataclass

@@ -158,7 +158,7 @@ def draw_alphas_of_one_scale(rng: Random, count: int, scale: tuple[int, int] | N
 # --- Rounds at the threshold of the test ---
 
 _MAX_ESTIMATES_TRIED = 1000
-"""Estimates of all rounds together of which the nearest to the threshold is chosen."""
+"""Largest number of estimates in all rounds that are tried, to choose the one nearest to the threshold."""
 _MANY_ESTIMATES = 100
 """Size of a round from which on its sums have more bits than a float64."""
 _MAX_DRAWS = 200
@@ -173,8 +173,8 @@ So large sums have bits that floats lose."""
 _MIN_DISTANCE = 1 << 19
 """Smallest distance of the mean of a round that serves from the robot's x_hat.
 
-One unit of 2**-23 then moves it so little that a threshold that is wrong by a millionth shows. On one side of
-any x_hat there is room for that."""
+A unit of 2**-23 is then so small a part of the distance that a threshold wrong by a millionth shows. On one
+side of any x_hat there is room for so large a distance."""
 
 
 RoundsAtThreshold = tuple[list[NeighbourEstimate], list[NeighbourEstimate]]
@@ -184,10 +184,10 @@ RoundsAtThreshold = tuple[list[NeighbourEstimate], list[NeighbourEstimate]]
 def draw_rounds_at_threshold(robot: RobotState, m: int, rng: Random) -> RoundsAtThreshold:
     """Draw two rounds of ``m`` estimates: the robot's test just rejects the second, and not the first.
 
-    They are so close to the test's threshold that one that is wrong by a millionth shows, and the second one
-    changes b_hat. For a hundred estimates or more, pairs of rounds are drawn until a test in float64 would
-    decide wrongly about one of the two. If none of many pairs is like that, the first pair is returned. The
-    robot must have a table.
+    They are so close to the test's threshold that a threshold that is wrong by a millionth shows, and the
+    second one changes b_hat. For a hundred estimates or more, pairs of rounds are drawn until a test in
+    float64 would decide wrongly about one of the two. If none of many pairs is like that, the first pair is
+    returned. The robot must have a table.
     """
     first_rounds: RoundsAtThreshold | None = None
     for _ in range(_MAX_DRAWS):
@@ -264,7 +264,7 @@ def draw_x_hats_at_threshold(
 
 @dataclass(frozen=True)
 class _TestOfRound:
-    """The test (eq. 12) of a robot's x_hat against rounds with one number m of estimates.
+    """The test (eq. 12) of a robot's x_hat against rounds of a fixed number m of estimates.
 
     In integers it rejects if table_entry * scatter < difference**2 * 2**FRACTION_BITS. The difference is that
     of the sum of the round's x_hat from m times the robot's own.
@@ -282,7 +282,7 @@ class _TestOfRound:
         return ((difference**2 << FRACTION_BITS) - 1) // self.table_entry
 
     def distance_from_threshold(self, x_hats: Sequence[int]) -> float:
-        """Return how far one side of the inequality is from the other, as a share of this."""
+        """Return how far both sides of the inequality are apart, as a share of the right side."""
         difference = sum(x_hats) - len(x_hats) * self.own_x_hat
         return abs(self.table_entry * scatter_of(x_hats) / (difference**2 << FRACTION_BITS) - 1)
 
@@ -293,7 +293,7 @@ class _TestOfRound:
 
 
 def _distances_to_try(test: _TestOfRound, groups: Sequence[tuple[int, ...]], room: float) -> range:
-    """Return the largest distances of a mean from the robot's x_hat for which groups have room around it.
+    """Return distances of a mean from the robot's x_hat: the largest that leave room for groups around it.
 
     ``room`` is how far an x_hat may be from the robot's. `_groups_around_mean` returns such ``groups``. A
     single group hardly meets the threshold for one distance, but it does for one of many. For rounds of many
@@ -310,11 +310,12 @@ def _distances_to_try(test: _TestOfRound, groups: Sequence[tuple[int, ...]], roo
 
 
 def _groups_around_mean(m: int, direction: int) -> list[tuple[int, ...]]:
-    """Return groups of ``m`` x_hat in all: each x_hat as a multiple of its group's move away from their mean.
+    """Divide ``m`` x_hat into groups around their mean, and return the groups.
 
-    All groups are pairs, but for an odd ``m`` the first one has three. Two of these lie on the side of the
-    robot's own x_hat, where there is less room if that is near 0 or 1. The mean is in this ``direction`` from
-    it, 1 or -1.
+    All x_hat of a group are moved away from the mean by multiples of the same move, and the group is the
+    tuple of these multiples. All groups are pairs, but for an odd ``m`` the first one has three x_hat. Two of
+    these lie on the side of the robot's own x_hat, where there is less room if that is near 0 or 1.
+    ``direction`` is 1 if the mean is above the robot's own x_hat, and -1 if it is below.
     """
     pair = (1, -1)
     if m % 2 == 0:
@@ -336,10 +337,10 @@ def _x_hats_with_scatter(
 ) -> list[int] | None:
     """Return x_hat with this mean whose scatter, as `scatter_of` computes it, reaches a target.
 
-    The scatter is the target or slightly above with ``is_at_least``, else the target or slightly below. A
-    group has several x_hat, and says which multiples of a common move, of sum 0, lead from the mean to these.
-    Each group in turn is moved by as much as is still missing, or as there is room for between 0 and 1.
-    Returns None if there is no room to spare for the last group.
+    The scatter is the target or slightly above with ``is_at_least``, else the target or slightly below. The
+    ``groups`` are as `_groups_around_mean` returns them. Each group in turn is moved by as much as is still
+    missing, or as there is room for between 0 and 1. Returns None if there is no room to spare for the last
+    group.
     """
     m = sum(map(len, groups))
     moves: list[int] = []
@@ -490,11 +491,11 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
 
 
 def _margin_of_large_scatter(robot: RobotState, count_of_ones: int) -> float:
-    """Return how clearly a round of so many ones, and zeros, shows a scatter without its bits from 2**56 on.
+    """Return how clearly a round shows that a controller leaves out the bits of a scatter from 2**56 on.
 
-    The robot's test must pass by the right scatter and reject by the wrong one. The margin is the factor by
-    which one side of the test's inequality exceeds the other, the smaller of both factors. It is below 1 if
-    the round does not show the mistake.
+    The round has ``count_of_ones`` x_hat of 1, and all others are 0. The robot's test must pass by the right
+    scatter, and reject by the wrong one. Each time one side of the test's inequality exceeds the other by a
+    factor, and the smaller of both factors is returned. It is below 1 if the round does not show the mistake.
     """
     assert robot.table is not None
     m = _ESTIMATES_OF_LARGE_ROUND

@@ -77,9 +77,10 @@ class SlotsAtTest:
         return is_supported(self.robust, self.t, self.n, tested_estimates, centre)
 
     def moved(self, direction: int, steps: int) -> SlotsAtTest:
-        """Return slots after so many steps, each of which moves one estimate by a unit of 2**-16, in turn.
+        """Return the slots after this number of steps, each of which moves one estimate by a unit of 2**-16.
 
-        They move up for a ``direction`` of 1 and down for -1, and stop at the ends of a slot's range.
+        The estimates are moved by turns. They move up for a ``direction`` of 1 and down for -1, and stop at
+        the ends of a slot's range.
         """
         full_rounds, remaining_steps = divmod(steps, len(self.estimates))
         moved_estimates = []

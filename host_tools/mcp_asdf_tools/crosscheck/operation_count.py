@@ -121,7 +121,7 @@ def _workloads_along_t() -> Iterator[Workload]:
 
 
 def _workloads_along_m() -> Iterator[Workload]:
-    """Yield workloads of each filter with every number of messages in a round, in each of their situations.
+    """Yield workloads of each filter, in each of its situations, with every number of messages in a round.
 
     A situation is a dictionary of the other attributes of a workload.
     """
@@ -163,9 +163,9 @@ def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection
 
 
 def _count_calls(workload: Workload, firmware: type[MirrorRobot]) -> dict[str, int]:
-    """Return the number of instructions of each of CALLS of the workload's robot, by name, such as "settle".
+    """Return how many instructions each of CALLS takes on the workload's robot, by the label of the call.
 
-    The names are those of `CheckedFilter.label`. Each call is made on a robot in the same state.
+    Labels, such as "settle", are those of `CheckedFilter.label`. All calls begin in the same state.
     """
     checked_filter = checked_filter_of(workload.filter)
     robot = workload.make_robot(firmware)
@@ -201,9 +201,9 @@ def find_growth(counts: Counts) -> list[str]:
 
 
 def _growth_along(axis: str, count_by_value: dict[int, int]) -> list[str]:
-    """Return a text if the counts of a call are larger in the axis's upper half, and an empty list if not.
+    """Return one text in a list if the counts of a call are larger in the axis's upper half.
 
-    There must be a count.
+    If they are not, the list is empty. ``count_by_value`` must have a count.
     """
     # Paths through a call differ in length, wherever on the axis they are taken. So the maxima of both halves
     # of the axis are compared, not single counts.
@@ -235,7 +235,7 @@ def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict
 
 
 def _image_sizes(workload_class: type[Workload], firmware: type[MirrorRobot]) -> dict[int, int]:
-    """Return the bytes of a saved robot of these workloads by its number of messages, from 0 to 127."""
+    """Return how many bytes a saved robot of these workloads has, by its number of messages (0 to 127)."""
     image_sizes = {}
     for m in range(MAX_ROUND_SIZE + 1):
         robot = workload_class(m=m).make_robot(firmware)

@@ -89,7 +89,7 @@ class ScenarioWriter:
         self._setup = setup
         self._places_in_image = places_of_numbers(setup.filter)
         self._b_hat = setup.b_hat
-        """b_hat of the robot, as far as restored images and not its filter have set it."""
+        """b_hat of the setup or of the last image restored; the robot's filter may have changed it since."""
         self._common_x_hat = rng.choice([rng.randint(0, ONE), 0, HALF, ONE])
         """An x_hat near which many neighbours are."""
         self._calls: list[Call] = []
@@ -259,10 +259,10 @@ class ScenarioWriter:
         return {name: self._rng.choice([0, MAX_16_BITS - 1, MAX_16_BITS]) for name in COUNTER_NAMES}
 
     def _draw_special_estimate(self) -> dict[str, int]:
-        """Draw the robot's own x_hat and an alpha at an edge, which are legal only if b_hat is newer.
+        """Draw the robot's own x_hat and an alpha at an edge, by name.
 
-        They are not if alpha is written otherwise than robots write it. ``updated`` says whether b_hat is
-        newer; it is in two of three cases.
+        In two of three cases ``updated``, which is returned with them, says that b_hat is newer than these
+        two. They are legal only then, and only if a robot would write this alpha in the same form.
         """
         rng = self._rng
         alpha = rng.choice(SPECIAL_ALPHAS)
@@ -288,7 +288,7 @@ class ScenarioWriter:
         return {name: rng.choice([0, 1, one_bit, largest_value])}
 
     def _clamp_to_image(self, name: str, value: int) -> int:
-        """Return the value, or the nearest one for which the number of this name has room in an image."""
+        """Return the value, or the nearest one that the number of this name in an image has room for."""
         return clamp(value, 0, largest_number_at(self._places_in_image[name]))
 
     def _add_restore_at_limits(self) -> None:
@@ -314,7 +314,7 @@ class ScenarioWriter:
             self._add_restore(open_round | self._all_other_senders())
 
     def _all_other_senders(self) -> dict[str, int]:
-        """Return the senders of the open round, by name, in an image whose robot has heard all others."""
+        """Return numbers of an image, by name, by which the robot has heard all others in the open round."""
         # The senders are a mask with a bit for each id, of which each number has 32.
         masks = {f"heard_{index}": MAX_32_BITS for index in range(4)}
         robot_id = self._setup.robot_id
@@ -350,10 +350,11 @@ class ScenarioWriter:
         return min(rng.choice([at_edge, at_edge, anywhere]), MAX_ROUND_SIZE)
 
     def _draw_x_hats_around_threshold(self, m: int, threshold: int) -> tuple[int, list[int]]:
-        """Draw an x_hat of the robot, and ``m`` neighbours' x_hat for a test of the first.
+        """Draw an x_hat of the robot, and the x_hat of ``m`` neighbours by which its filter tests it.
 
-        By these the test just does not reject, or just does, each in three of seven cases. Otherwise all are
-        equal. ``threshold`` is k_m, the test's threshold for m estimates. All x_hat are in units of 2**-23.
+        In three of seven cases the test just does not reject, and in three it just does. In the other case
+        all x_hat are equal. ``threshold`` is k_m, the test's threshold for m estimates. All x_hat are in
+        units of 2**-23.
         """
         rng = self._rng
         # Not all draws leave room for such x_hat in 0 .. 1.

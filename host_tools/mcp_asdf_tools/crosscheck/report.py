@@ -96,7 +96,7 @@ class CrosscheckReport:
         return _format_table(title, ("", "region", "samples", "exact", "float64"), rows)
 
     def _count_table(self) -> Table:
-        """Return the most instructions of each call along each axis; "-" stands for one without counts."""
+        """Return the most instructions of each call along each axis. An axis without counts has "-"."""
         rows = []
         for call_name, count_by_axis in self.counts.items():
             largest_counts = [max(count_by_axis[axis].values(), default="-") for axis in AXES]
@@ -107,8 +107,9 @@ class CrosscheckReport:
     def verdict(self) -> str:
         """Return the conclusion in some lines; after a failure the last one replays it.
 
-        The lines are of bytes of memory, of the events of the robust filter, of the calls that were made, of
-        each problem, and at the end of the failure or the agreement of both firmwares.
+        The first three lines say how many bytes of memory are taken, how often the robust filter had which
+        event, and how many calls were made. A line for each problem follows. Then comes the failure, or a
+        line that says that both firmwares agree.
         """
         lines = [self._memory_line(), _format_events(self.audit.events), self._calls_line()]
         lines += [f"FAILED: {problem}" for problem in self.problems]
@@ -117,7 +118,7 @@ class CrosscheckReport:
         return "\n".join(lines)
 
     def _memory_line(self) -> str:
-        """Return a line on the bytes that a table takes, and those of a saved robot, by filter."""
+        """Return a line with the bytes of a table, and with those of a saved robot with each filter."""
         image_sizes = []
         for checked_filter in CHECKED_FILTERS:
             size = max(self.storage[checked_filter.images_key].values())
@@ -127,7 +128,7 @@ class CrosscheckReport:
         return f"memory: 12 + 4 q bytes for a table, {', '.join(image_sizes)}"
 
     def _calls_line(self) -> str:
-        """Return a line on the number of calls and scenarios, the seed, and an interruption."""
+        """Return a line with the numbers of calls and scenarios and the seed, and with any interruption."""
         result = self.result
         interruption = ", interrupted" if result.interrupted else ""
         return (
@@ -137,7 +138,7 @@ class CrosscheckReport:
 
 
 def _format_events(events: Counter[str]) -> str:
-    """Return a line on how often each event of the robust filter happened: "the robust filter: 17 vote"."""
+    """Return a line that says how often the robust filter had each event: "the robust filter: 17 vote"."""
     counts = ", ".join(f"{number} {name}" for name, number in sorted(events.items()))
     return f"the robust filter: {counts}"
 

@@ -121,17 +121,17 @@ def _check_b_hat_after_test(record: CallRecord, estimates: Sequence[Fraction], a
 
 
 def _check_nothing_tested_or_updated(record: CallRecord) -> list[str]:
-    """Return a line for each sign of a test or of an update of b_hat, where there must be neither."""
+    """Check that the filter has neither tested nor updated b_hat, and return a line for each problem."""
     expected = {name: record.old_state[name] for name in ("b_hat()", "tests")}
     problems = check_exact(record.new_state, expected)
     return problems + check_whether_updated(record.is_updated, expected=False)
 
 
 def _check_initial_b_hat(record: CallRecord, audit: Audit) -> list[str]:
-    """Return a line for each sign of another b_hat than the initial one, which it must be after a test.
+    """Check that b_hat is the initial one after a test, and return a line for each problem.
 
-    The call must have reported an update only if b_hat was another one before. Such a return to the initial
-    one is counted in ``audit``.
+    The call must have reported an update if b_hat was another one before, and must not have if it was not. A
+    return to the initial b_hat is counted in ``audit``.
     """
     initial_b_hat = record.new_state["robust_initial_b_hat"]
     is_return = record.old_state["b_hat()"] != initial_b_hat
@@ -189,9 +189,10 @@ def _slot_after_message(record: CallRecord) -> State:
 
 
 def _batch_after_halving(record: CallRecord) -> State:
-    """Return the fields of a new batch, which begins if an observation has halved t and n, or else nothing.
+    """Return the fields of the batch that begins when an observation halves t and n, by name.
 
-    The counts at the beginning of the old batch could not be compared with the halved ones.
+    The old batch ends there, as its first counts could not be compared with the halved ones. The result is
+    empty if the call has not halved them.
     """
     if not record.is_observation:
         return {}
@@ -280,8 +281,8 @@ def _expected_decision(
 ) -> Decision:
     """Return what the filter's test of a robot in this state must have decided.
 
-    ``centre`` and ``spread`` are those of the estimates in its slots. More than two of five estimates may
-    support the robot; that counts only if the test rejects.
+    ``centre`` and ``spread`` are those of the estimates in its slots. Only if the test rejects does it matter
+    whether enough of the estimates support the robot, which are more than two in five.
     """
     initial_b_hat = Fraction(state["robust_initial_b_hat"], _B_HAT_UNITS)
     dispersion = Fraction(state["robust_dispersion"], _DISPERSION_UNITS)

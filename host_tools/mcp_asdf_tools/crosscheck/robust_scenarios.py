@@ -194,8 +194,9 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_filter_memory_at_limits(self) -> dict[str, int]:
         """Draw an image, as numbers by name, in which one value that the filter remembers is at a limit.
 
-        Or it is one unit above or below, so that the firmware must refuse some of these images. In one of ten
-        cases the estimate of a slot is replaced, too, though the slot may be empty. The robot is drawn.
+        In half of the cases it is one unit above or below instead, so that the firmware must refuse some of
+        these images. In one of ten cases the estimate of a slot is replaced, too, though the slot may be
+        empty. The robot is drawn.
         """
         rng = self._rng
         robot = self._draw_robot()
@@ -347,8 +348,8 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_estimates(self, robust: RobustFilter) -> list[int]:
         """Draw the estimates of all slots, in units of 2**-16: 0 for an empty slot.
 
-        About half of the filled slots share one estimate, which is where a vote meets an edge, or a unit
-        beside that. The others have estimates as of messages.
+        About half of the filled slots share one estimate, for which `_draw_vote_at_edge` draws a vote, or a
+        unit beside that. The others have estimates as of messages.
         """
         rng = self._rng
         shared_position = self._draw_vote_at_edge(robust) // _SLOT_UNIT + rng.randint(-1, 1)
@@ -363,7 +364,8 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_own_x_hat(self, robust: RobustFilter) -> int:
         """Draw an x_hat of the robot itself, in units of 2**-23.
 
-        In half of the cases it is where a vote meets an edge, or a unit beside that, else as in a message.
+        In half of the cases `_draw_vote_at_edge` draws it, or it is a unit beside that. In the other half it
+        is drawn as for a message.
         """
         rng = self._rng
         position = q23_from_q30(self._draw_vote_at_edge(robust)) + rng.randint(-1, 1)
@@ -474,7 +476,8 @@ class RobustScenarioWriter(ScenarioWriter):
 def _may_have_been_tested(robot: State) -> bool:
     """Return whether the filter may have tested the robot, so that b_hat need not be the initial one.
 
-    It may have if there are enough estimates for a test, and if it has run: then a batch has ended.
+    It may have done so if there are enough estimates for a test, and if a batch has ended, as at every run of
+    the filter.
     """
     filled_slots = robot.robust.filled_slots.bit_count()  # a mask with a bit for each slot
     has_ended_batch = robot.robust.batch_t > 0
@@ -547,7 +550,9 @@ def _limits_by_name(robot: State) -> dict[str, tuple[int, ...]]:
 
 
 def _largest_usual_deviation(robot: State, batch_count: int) -> int:
-    """Return the largest deviation from the expected number of black ones with which a batch is no outlier.
+    """Return how far the number of black observations of a batch may be off the expected one, at most.
+
+    If it is further off, the batch is an outlier.
 
     ``batch_count`` of the robot's observations are in the batch.
     """
@@ -586,7 +591,7 @@ def _find_b_hat_of_tie(robot: State, estimate: int, centre: int) -> int | None:
 
 
 def _is_tie(robot: State, b_hat: int, estimate: int, centre: int) -> bool:
-    """Return whether the share of black that an estimate predicts by b_hat is as far from two others.
+    """Return whether the share of black that an estimate predicts by b_hat is equally far from two others.
 
     These are the share that the robot has observed, and the share that the centre of all estimates predicts.
     ``estimate`` and ``centre`` are in units of 2**-24, and b_hat is in units of 2**-32.

@@ -86,8 +86,8 @@ class Bench(ControllerLink):
         """Return a frame for each of these estimates, in order.
 
         ``senders`` are as many ids as there are estimates, and may name a robot several times; by default
-        they are different robots that are drawn. Every sender numbers its frames by a transfer_id that goes
-        on from one call to the next.
+        different robots are drawn. Every sender numbers its frames by a transfer_id that goes on from one
+        call to the next.
         """
         if senders is None:
             senders = self.rng.sample(self.other_ids, len(estimates))
@@ -159,8 +159,8 @@ class Bench(ControllerLink):
     ) -> None:
         """Wait for a round without a test, and run it with these estimates.
 
-        ``senders`` are theirs, as for ``encode_estimates``. A difference in this round is reported with
-        ``activity``.
+        ``senders`` are the ids of their senders, as for ``encode_estimates``. A difference in this round is
+        reported with ``activity``.
         """
         self.play_round_of_frames(activity, self.encode_estimates(estimates, senders))
 
@@ -191,7 +191,8 @@ class Bench(ControllerLink):
     def _run_round(self, frames: Sequence[can.Message]) -> None:
         """Run a round without observations, which begins now.
 
-        Half of these frames come in its first tick, the others in its last; all in a round of a single tick.
+        The first half of the frames is sent in its first tick, and the second half in its last tick. In a
+        round of a single tick all of them are sent in that.
         """
         ticks_in_round = self.setup.comms_period
         if ticks_in_round == 1:
@@ -229,7 +230,7 @@ class Bench(ControllerLink):
         self.skip_ticks(missing_ticks, choose_observation)
 
     def wait_for_round_without_test(self, rounds: int = 1) -> None:
-        """Let rounds pass until the controller's filter has no test in the next ``rounds`` ones.
+        """Let rounds pass until the controller's filter has no test in the next ``rounds`` rounds.
 
         None passes if they have no test anyway, if a round is under way, if the filter is off, or if it
         tests in every round, which cannot be avoided.

@@ -148,7 +148,7 @@ def re_estimate_from_ends(bench: Bench) -> None:
 
 
 DrawRound = Callable[[RobotState, Random], Sequence[NeighbourEstimate]]
-"""Draws the estimates of a round for the state of the robot that is to receive them."""
+"""A function that draws the estimates of a round for a robot in a given state, which is to receive them."""
 
 
 def draw_equal_estimates(x_hat: int, rng: Random) -> list[NeighbourEstimate]:
@@ -285,7 +285,7 @@ def _draw_distant_estimates(bench: Bench) -> list[NeighbourEstimate]:
 def _draw_too_few_estimates(bench: Bench) -> list[NeighbourEstimate]:
     """Draw distant estimates for a round in which the controller's filter must not test or re-estimate.
 
-    They have no confidence but, for the adaptive filter, the first one.
+    None of them has confidence, except for the first one if the filter is adaptive.
     """
     with_confidence = _draw_distant_estimates(bench)
     without_confidence = [estimate._replace(alpha=0) for estimate in _draw_distant_estimates(bench)]

@@ -95,7 +95,7 @@ def _write_identifier_bits(frame: can.Message, rng: Random, *, mask: int, value:
 
 
 def _cut_data(frame: can.Message, rng: Random, *, min_length: int, max_length: int) -> None:
-    """Draw a length of this range, and cut a frame's data to so many bytes."""
+    """Draw a length from ``min_length`` to ``max_length`` bytes, and cut a frame's data to it."""
     frame.dlc = rng.randint(min_length, max_length)
     frame.data = frame.data[: frame.dlc]
 
@@ -332,7 +332,7 @@ def _send_changed_command(bench: Bench, action: Action, change_command: ChangeFr
 
 
 def _unusual_commands(bench: Bench) -> dict[str, ChangeFrame]:
-    """Return by name what makes a usual command unusual in such a way that it must be obeyed all the same.
+    """Return functions that make a command unusual, by name. It must be obeyed all the same.
 
     The node from which a command of another node comes is drawn.
     """

@@ -43,7 +43,7 @@ _FIRST_SLOTS = (15, 0, 31, 16, 7, 8, 23, 24, 1, 30, 12, 19)
 _FILLING_ORDER = (*_FIRST_SLOTS, *(slot for slot in range(SLOTS) if slot not in _FIRST_SLOTS))
 """All slots in the order in which estimates are sent to them."""
 _ROUNDS_OF_ALL_VOTES = SLOTS + 1
-"""Rounds in which every slot has a vote, and then the robot's own estimate."""
+"""Number of rounds in which every slot and then the robot's own estimate has a vote."""
 
 _X_HAT_PER_SLOT_UNIT = q23_from_q16(1)
 """Units of x_hat, 2**-23, in one unit of a slot's estimate, 2**-16."""
@@ -51,7 +51,7 @@ _X_HAT_PER_SLOT_UNIT = q23_from_q16(1)
 NARROW_WIDTH, WIDE_WIDTH = 4, 1 << 13
 """How far estimates are from their middle: so little that their spread is the smallest one, or much."""
 _FILL_RATIO_BEFORE_TEST = 0.75
-"""Fill ratio that the observations indicate before a test: with more or less of it, a test rejects."""
+"""Fill ratio that the observations indicate before a test. Higher and lower estimates can contradict it."""
 _MIN_INFORMATION = 0.05
 """|2 b_hat - 1| of the initial b_hat below which estimates move the threshold too little to be shown."""
 _MAX_INFORMATION_FOR_LARGEST_SPREAD = 0.4
@@ -63,7 +63,7 @@ _MAX_DRAWS_BY_WIDTH = {NARROW_WIDTH: 20, WIDE_WIDTH: 400}
 
 Close to their middle, all estimates have the same spread, so that further draws come no nearer to it."""
 _MAX_BURSTS = 500
-"""Number of bursts of observations after which it is given up to bring something about."""
+"""Number of bursts of observations after which a phase gives up what they were to bring about."""
 _BEYOND_SMALLEST_SPREAD = 40
 """Distance in units of 2**-16 that is above the smallest spread of votes, 2**-12, which is 16 units."""
 _ROUNDS_TO_SMALLEST_SPREAD = 2500
@@ -158,7 +158,7 @@ def vote_without_own_confidence(bench: Bench) -> None:
     observe_until_excess_of_black(bench, 0)
     contradicting_estimate = _most_contradicting_estimate(bench)
     would_reject = partial(_would_reject, bench, [contradicting_estimate] * SLOTS)
-    # The rarer colour is each by turns then, so that they stay equally frequent.
+    # Observing the rarer colour alternates between both from here on, so that they stay equally frequent.
     if not _observe_until(bench, would_reject, _rarer_colour):
         bench.not_exercised.append("a re-estimate of b_hat as 1/2")
         return
@@ -204,10 +204,10 @@ def test_few_estimates(bench: Bench) -> None:
 def threshold_phase(*counts: int, widths: Sequence[int]) -> Callable[[Bench], None]:
     """Return a phase that plays the robust filter's test on both sides of its threshold.
 
-    After observations as on a floor of which 3/4 are black, it plays a test that just does not reject and a
-    test that just does, with estimates of each number and width. They differ by up to the width from their
-    middle, in units of 2**-16. Slots are never emptied, so that at most the first of ``counts`` may be filled
-    before, and the next ones must not be lower.
+    The phase begins with observations as on a floor of which 3/4 are black. For each number of estimates in
+    ``counts``, with each width, it plays a test that just does not reject and a test that just does. The
+    estimates differ by up to the width from their middle, in units of 2**-16. Slots are never emptied. So
+    before the phase no more slots may be filled than the first of ``counts``, and the next must not be lower.
     """
 
     def play(bench: Bench) -> None:
@@ -321,7 +321,7 @@ def re_estimate_often(bench: Bench) -> None:
 
 
 def _extremes(count: int) -> list[int]:
-    """Return so many estimates, an even number: half of them are 0, the others the largest of a slot."""
+    """Return ``count`` estimates, an even number. Half of them are 0, the others the largest of a slot."""
     return [0, SLOT_ESTIMATE_MAX] * (count // 2)
 
 
@@ -331,7 +331,7 @@ def _ids_of_slot(bench: Bench, slot: int) -> list[int]:
 
 
 def _draw_senders(bench: Bench, count: int) -> list[int]:
-    """Draw so many ids of different slots, one for each of the first slots of ``_FILLING_ORDER``."""
+    """Draw a sender for each of the first ``count`` slots of ``_FILLING_ORDER``, and return their ids."""
     return [bench.rng.choice(_ids_of_slot(bench, slot)) for slot in _FILLING_ORDER[:count]]
 
 
@@ -393,7 +393,7 @@ def _observe_until(
 ) -> bool:
     """Observe the chosen colours in bursts of 16 until ``is_reached`` returns True.
 
-    Returns whether it has within 8000 observations.
+    Returns whether it does so within 8000 observations.
     """
     for _ in range(_MAX_BURSTS):
         if is_reached():
@@ -412,14 +412,14 @@ def _observe_as_at_three_quarters(bench: Bench) -> None:
 def _observe_until_black_share(
     bench: Bench, black_share: float, is_enough: Callable[[], bool] = lambda: True
 ) -> bool:
-    """Observe until the share of black is off ``black_share`` by less than 0.01, and ``is_enough`` is True.
+    """Observe until the share of black is within 0.01 of ``black_share``, and ``is_enough`` returns True.
 
     Returns whether that has come about within 8000 observations.
     """
     state = bench.model_state
 
     def is_reached() -> bool:
-        """Return whether the share is so near, and ``is_enough`` is True."""
+        """Return whether the share is that near, and ``is_enough`` returns True."""
         return abs(state.n - black_share * state.t) < 0.01 * state.t and is_enough()
 
     def choose_colour(_bench: Bench) -> Observation:
@@ -434,7 +434,7 @@ Crafted = TypeVar("Crafted")
 
 
 def _observe_until_crafted(bench: Bench, craft: Callable[[], Crafted | None]) -> Crafted | None:
-    """Observe until ``craft`` returns something for the next test, and return that.
+    """Observe until ``craft`` returns estimates for the next test, and not None; return what it returns.
 
     All observations of a burst have one colour. It is the more frequent colour while no estimate contradicts
     the observations enough for the test to reject. Once some estimate does, it is the other colour, so that

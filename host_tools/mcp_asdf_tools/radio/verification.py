@@ -165,9 +165,10 @@ def _choose_phases(settings: RadioSettings, phases: Sequence[Phase]) -> list[Pha
 
 
 def _schedule_faults(phases: Sequence[Phase], ticks: int) -> list[Fault]:
-    """Return the faults of all phases, each with the ticks of the neighbours at which it begins and stops.
+    """Return the faults of all phases. Each of them begins and stops with its phase.
 
-    Only the phases among neighbours count, which have ``ticks`` ticks each, one after the other.
+    A fault starts and stops at ticks of the neighbours, which have ``ticks`` ticks in each phase among
+    neighbours, and none in other phases.
     """
     # The other phases have a function that plays them.
     phases_among_neighbours = [phase for phase in phases if phase.play is None]
@@ -316,7 +317,10 @@ class Verification:
         result.outcome = NOT_EXERCISED if has_fault and result.injected == 0 else PASSED
 
     def _fill_in_figures(self, result: PhaseResult) -> None:
-        """Set the ticks, injected faults and equal frames of a phase: those that no phase before it has."""
+        """Set the numbers of ticks, injected faults and equal frames of a phase that has just ended.
+
+        The bench counts them for all phases together, so that those of the phases before are subtracted.
+        """
         bench, phases = self.bench, self.verdict.phases
         injected = sum(figures["injected"] for figures in bench.neighbours.faults.figures())
         equal = bench.comparison.equal_frames.total()

@@ -67,7 +67,7 @@ def parse_readings(readings_text: str, name: str) -> Readings:
 def _lines_with_fields(
     readings_text: str, name: str, readings: Readings
 ) -> Iterator[tuple[str, Sequence[str]]]:
-    """Yield for each line of a text its position, with which error messages begin, and its fields.
+    """Yield the position and the fields of each line of a text. Error messages begin with the position.
 
     Empty lines and Excel's line with the separator are skipped. So are comments, which ``readings`` counts as
     left out. The position has the text's ``name``, the number of the line and the line.

@@ -30,7 +30,7 @@ def outcomes_of(scenarios: Iterable[Scenario]) -> set[str]:
 
 
 def test_random_scenarios_bring_about_every_result_of_every_call() -> None:
-    """An outcome is a call's name and result. In 40 scenarios each occurs, and no other does."""
+    """An outcome is the name of a call and its result. 40 scenarios have all those below, and no others."""
     outcomes = outcomes_of(random_scenario(seed=1, index=index) for index in range(40))
     assert outcomes == {
         "observe OK",

@@ -368,10 +368,10 @@ TEST_PHASES = THRESHOLD_PHASES | {"large sums", "own estimate"}
 def test_phases_that_do_not_apply_to_a_controller_are_left_out(
     config: dict[str, Any], omitted_phases: set[str]
 ) -> None:
-    """Left out are those of other filters, "halvings" for a long memory, or "long run" for a short one.
+    """Phases of other filters are left out, and "halvings" for a long memory, or "long run" for a short one.
 
     With the robust filter, tests are left out that no observations can bring about. With a b_hat of 1/2
-    estimates decide no test. With one of 0.95, those that are far apart contradict no observations.
+    estimates decide no test. With a b_hat of 0.95, estimates that are far apart contradict no observations.
     """
     settings = settings_with_four_neighbours(right_setup(**config))
     planned_phases, _faults = plan_phases(settings, PHASES, ticks=25)
@@ -1054,7 +1054,7 @@ def test_the_command_radio_ends_with_the_exit_code_of_a_signal_that_stops_a_veri
 def test_the_command_radio_prints_a_verdict_whose_report_cannot_be_written(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """The disk is full at the end of a run of one phase, "alone", which would be lost otherwise.
+    """The disk is full at the end of a run of one phase, "alone", whose verdict must not be lost.
 
     The exit code is 2.
     """

@@ -136,7 +136,7 @@ def test_telemetry_is_numbered_from_0() -> None:
 def test_telemetry_holds_a_b_hat_of_0_or_1_as_the_nearest_legal_one(
     b_hat: float, sent_b_hat: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A robot that computes in float64 may have it. It is sent in units of 2**-24."""
+    """A robot that computes in float64 may have such a b_hat. b_hat is sent in units of 2**-24."""
     robot = make_robot_5(comms_period=1)
     monkeypatch.setattr(MirrorRobot, "b_hat", b_hat)
     assert robot.next_telemetry().b_hat == sent_b_hat
@@ -210,9 +210,9 @@ def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_
 
 
 def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
-    """A robot gets a heartbeat, telemetry, and a frame that is rejected for each of the possible reasons.
+    """A robot receives a heartbeat, telemetry, and frames that it rejects, one for each reason to do so.
 
-    An error frame is one of the reasons, but is counted apart. An estimate comes, too, and is not counted.
+    One of the reasons is an error frame, which is counted apart. An estimate comes, too, and is not counted.
     """
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     telemetry = Telemetry(sender=8, x=9, b_hat=1 << 23, updates=1, transfer_id=0)
