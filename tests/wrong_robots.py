@@ -365,6 +365,8 @@ def as_estimate_if_equal_in(mask: int) -> Callable[[can.Message], None]:
 
 # --- The wrong controllers ---
 
+UPDATE_COUNTER_OF_5_BITS = "s.updates = {next_count(s.updates) => (s.updates + 1) & 31}"
+"""A change of the mirror, whose counter of updates then wraps after 31."""
 ROBUST_FAULTS_BY_PHASE: dict[str, tuple[str, ...]] = {
     "first estimates": (
         "slot: ids up to 31",
@@ -574,9 +576,7 @@ WRONG: dict[str, Wrong] = {
     "t of 14 bits in eq. 8": with_firmware(
         "estimates of 0 and 1", "return reestimate(s.t{ =>  % (1 << 14)}, s.n, x_bar)"
     ),
-    "an update counter of 5 bits": with_firmware(
-        "many updates", "s.updates = {next_count(s.updates) => (s.updates + 1) & 31}"
-    ),
+    "an update counter of 5 bits": with_firmware("many updates", UPDATE_COUNTER_OF_5_BITS),
     "tests in float64": with_firmware(
         "threshold of 126 messages",
         "return {difference * difference => float(difference) * difference} > limit",
@@ -640,9 +640,7 @@ WRONG: dict[str, Wrong] = {
     "a centre is uninformative at 2^-12": with_robust_firmware(
         "estimates of 1/2", "minus_one {< => <=} INFORMATIVE_G:"
     ),
-    "an update counter of 5 bits, robust": with_robust_firmware(
-        "long run", "s.updates = {next_count(s.updates) => (s.updates + 1) & 31}"
-    ),
+    "an update counter of 5 bits, robust": with_robust_firmware("long run", UPDATE_COUNTER_OF_5_BITS),
     # What it hears
     "compares the priority of estimates": with_node(
         "unusual identifiers", receive_frame=ignoring_unusual_bits(ESTIMATES, 7 << 26)
