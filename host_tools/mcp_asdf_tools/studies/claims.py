@@ -239,20 +239,20 @@ class PlannedComparison:
         return f"{self._minuend_label()} less {subtrahend}"
 
     def _minuend_label(self) -> str:
-        """Return what is measured in which cell, such as "H, P 30 %, ASDF+, tau 1000".
+        """Return a label that says what is measured in the cell, such as "H, P 30 %, ASDF+, tau 1000".
 
         With a level it begins with the difference, such as "H less 95". The part of the study is named only
         where the reference is of another part.
         """
-        texts = [self.contrast.measure]
+        measured_value = self.contrast.measure
         if self.contrast.level_in_points is not None:
-            texts = [f"{self.contrast.measure} less {self.contrast.level_in_points:g}"]
+            measured_value += f" less {self.contrast.level_in_points:g}"
         attributes = ["flawed_percent", "filter", "filter_period"]
         if len(self.parts) > 1:
             attributes.insert(0, "study_part")
         cell_labels = labels_of(self.cell)
-        texts += [cell_labels[name] for name in attributes if name in cell_labels]
-        return ", ".join(texts)
+        shown_labels = [cell_labels[name] for name in attributes if name in cell_labels]
+        return ", ".join([measured_value, *shown_labels])
 
 
 def labels_of(cell: Cell) -> dict[str, str]:
