@@ -258,9 +258,10 @@ def _replay_to_tidy_tables(log: Path) -> Iterator[pa.Table]:
 def _tidy_tables_of_ticks(
     settings: SwarmSettings, values_by_tick: Iterator[NDArray[np.float64]]
 ) -> Iterator[pa.Table]:
-    """Yield tidy tables of the values of all ticks, some ticks in each table.
+    """Yield the values of a swarm's robots in tidy tables, each of which has many ticks.
 
-    The values of a tick have the shape (quantities, N).
+    ``values_by_tick`` has the values at tick 0 and at all ticks after it, with the shape (quantities, N) at
+    each tick.
     """
     import numpy as np
 

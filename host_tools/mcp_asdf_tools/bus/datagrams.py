@@ -23,7 +23,9 @@ _FLAGS_OF_OTHER_FRAMES = (
 _IGNORED_FIELDS = ("timestamp", "channel")
 """Fields that are those of the sender, and mean nothing to a receiver."""
 _TYPES_OF_IGNORED_FIELDS = (int, float, str, type(None))
-"""A time is a number, and a channel a name, a number or nothing; either field may have any, as in C."""
+"""Types of a time, which is a number, and of a channel, which is a name, a number or nothing.
+
+Either field may have any of them, as the decoder in C does not tell them apart."""
 _FIELDS = {*_TYPE_BY_FIELD, *_FLAGS_OF_OTHER_FRAMES, *_IGNORED_FIELDS}
 
 

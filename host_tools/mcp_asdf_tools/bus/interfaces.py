@@ -181,7 +181,7 @@ class BusChoice:
 
 
 def _command_line_of_setup(channel: str) -> str:
-    """Return the command line that creates a bus of SocketCAN: a virtual one if its name says so."""
+    """Return the command line that creates a bus of SocketCAN: a virtual one if its name begins with vcan."""
     commands = _SETUP_OF_VIRTUAL_BUS if channel.startswith("vcan") else _SETUP_OF_REAL_BUS
     return " && ".join(command.format(channel) for command in commands)
 

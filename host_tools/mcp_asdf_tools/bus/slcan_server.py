@@ -99,9 +99,9 @@ class SlcanServer:
                 self._client = None
 
     def _serve_client(self, client: socket.socket) -> None:
-        """Answer each line of a client, until it leaves; nothing if the server is closing.
+        """Answer each line of a client until it leaves, while frames of the bus are forwarded to it.
 
-        Meanwhile frames of the bus are forwarded to it. Raises ConnectionError if the connection breaks.
+        Returns at once if the server is closing. Raises ConnectionError if the connection breaks.
         """
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
         client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)

@@ -227,7 +227,7 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     neighbours = MAX_ID if args.neighbours is None else args.neighbours
     if not 2 <= neighbours <= MAX_ID:
         raise UsageError(f"--neighbours is {neighbours}; it must be 2 to {MAX_ID}")
-    # Made as a robot of a swarm is, so that the options mean the same as those of the command swarm.
+    # The robot is taken from a population, so that the options mean what they mean in the command swarm.
     population = _population_around_robot(args, neighbours)
     robot_in_population = 0  # the flawed robot: flawed ones are the first by id
     config = population.config(robot_in_population)
@@ -242,10 +242,10 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
 
 
 def _population_around_robot(args: argparse.Namespace, neighbours: int) -> Population:
-    """Return the population of one flawed robot, which the options describe, and its neighbours.
+    """Return the population of the robot that the options describe and of its neighbours.
 
-    Options and checks of a robot are those of a population. The robot is flawed since the filter asdf-minus
-    is for flawed robots alone. Raises UsageError for a value out of range.
+    That robot is the only flawed one, since the filter asdf-minus is for flawed robots alone. Raises
+    UsageError for a value out of range.
     """
     from mcp_asdf_tools.robots.population import Population
 

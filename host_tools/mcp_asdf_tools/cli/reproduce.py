@@ -46,8 +46,8 @@ was finished is kept)"""
 LIBRARIES = ("numpy", "matplotlib", "pyarrow", "rich.progress")
 
 StoreKey = tuple[StudyPart, str]
-"""Which file of results: the part of the study, and the name of the user's firmware or filter in it; the name
-is empty for the paper's study."""
+"""Key of a file of results: the part of the study, and the name of the user's firmware or filter in the file.
+The name is empty for the paper's study."""
 
 PAPER_SIZE = StudySize()
 QUICK_SIZE = StudySize(trials=10, steps=10_000)
@@ -167,10 +167,11 @@ def firmware_and_filter_of_user(args: argparse.Namespace) -> tuple[str, str | No
 
 
 def experiments_by_store(args: argparse.Namespace, study_size: StudySize) -> dict[StoreKey, list[Experiment]]:
-    """Return the experiments of each file of results: of the chosen parts of the study, in the paper's order.
+    """Return the experiments of each file of results, by its key.
 
-    If the user has chosen a firmware or a filter, a second file of each part follows, for experiments with
-    that. Raises UsageError for a wrong choice, and for a size of the study that is out of range.
+    Each chosen part of the study has a file, in the paper's order. If the user has chosen a firmware or a
+    filter, each part has a second file with that choice; these files come last. Raises UsageError for a wrong
+    choice, and for a size of the study that is out of range.
     """
     from mcp_asdf_tools.studies.study_results import users_name_of
 
@@ -242,7 +243,7 @@ def _read_results(stores: Mapping[StoreKey, Store]) -> StudyResults:
         trials_of_store = list(stream_experiments(store.output))
         if users_name:
             users_trials[study_part] = trials_of_store
-            continue
-        for trials in trials_of_store:
-            trials_by_cell[cell_of(study_part, trials.experiment)] = trials
+        else:
+            for trials in trials_of_store:
+                trials_by_cell[cell_of(study_part, trials.experiment)] = trials
     return StudyResults(trials_by_cell, users_trials)

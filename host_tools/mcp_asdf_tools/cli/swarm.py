@@ -386,7 +386,7 @@ def _run_with_progress(
 ) -> SwarmRun:
     """Run the swarm until its last step or a signal, show how far it is, and return the run at its end.
 
-    The ``baselines`` run beside it, and the ``recorder`` gets its states, if there are any.
+    If there are ``baselines``, they run beside it; if there is a ``recorder``, it gets the swarm's states.
     """
     from mcp_asdf_tools.swarm.live_view import live_view
     from mcp_asdf_tools.swarm.run import run_swarm
@@ -495,8 +495,10 @@ def _serve_slcan(plan: _RunPlan, stack: ExitStack) -> int | None:
 def _warn_of_dropped_frames(server: SlcanServer) -> None:
     """Print how many frames of the bus a program at the slcan adapter has missed, if any."""
     if server.dropped > 0:
-        reason = "a program at the slcan adapter read too slowly"
-        warn("swarm", f"{reason}: {server.dropped} frames did not reach it")
+        warn(
+            "swarm",
+            f"a program at the slcan adapter read too slowly: {server.dropped} frames did not reach it",
+        )
 
 
 # --- The summary -----------------------------------------------------------------------------------------

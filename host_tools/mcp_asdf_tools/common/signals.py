@@ -21,7 +21,7 @@ _received_signals: list[int] = []
 
 @contextmanager
 def raising_on_signals() -> Iterator[None]:
-    """Context manager around a whole program, in which one of ENDING_SIGNALS raises KeyboardInterrupt.
+    """Context manager that lets ENDING_SIGNALS raise KeyboardInterrupt; it is for a whole program.
 
     After the first signal only Ctrl-C raises it again: terminals and service managers may send two, and the
     second one must not disturb the saving. Signals that this process was started to ignore, as by nohup, stay
@@ -87,9 +87,9 @@ def _is_main_thread() -> bool:
 
 @contextmanager
 def _handling_signals(new_handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Context manager in which ``new_handler`` handles ENDING_SIGNALS; before and after, others do.
+    """Context manager that lets ``new_handler`` handle ENDING_SIGNALS, and then restores their handlers.
 
-    Signals that are ignored stay so, and those whose handler was not set by Python keep it.
+    Signals that are ignored stay ignored, and those whose handler was not set by Python keep that handler.
     """
     previous_handlers: dict[signal.Signals, Any] = {}
     for number in ENDING_SIGNALS:

@@ -53,9 +53,9 @@ _MAX_FD_BYTES = 64
 def parse_line(line: str) -> can.Message | None:
     """Return the frame in a line of candump, or None if the line holds no complete and possible frame.
 
-    The frame's time is 0 if the line has none, and counts from 1970 in UTC if the line has a date. The flags
-    of a CAN FD frame are ignored, and so are whether this computer has sent the frame, and a raw length
-    beyond 8 (``_B``), as a frame with that has 8 bytes of data.
+    The frame's time is 0 if the line has none, and counts from 1970 in UTC if the line has a date. Three
+    things are ignored: the flags of a CAN FD frame, whether this computer has sent the frame, and a raw
+    length beyond 8 (``_B``), since a frame with such a length has 8 bytes of data.
     """
     if len(line) > LONGEST_LINE:
         return None
@@ -89,7 +89,7 @@ def _frame_of_console_line(match: re.Match[str]) -> can.Message | None:
     """
     length_text = match["length"] or ""
     if match["remote"] is not None:
-        # It asks for so many bytes, and has none itself.
+        # A remote frame asks for so many bytes, and has none itself.
         return _make_frame(match, remote_length=int(length_text or 0))
     hex_digits = "".join((match["data"] or "").split())
     byte_count = len(hex_digits) // 2

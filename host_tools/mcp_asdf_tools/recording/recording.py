@@ -70,7 +70,7 @@ class _PartFile:
 
 
 class LogOutputs(NamedTuple):
-    """What takes the frames and the events of a run.
+    """Destinations of the frames and the events of a run.
 
     Attributes:
         record_frame: Called with each frame.

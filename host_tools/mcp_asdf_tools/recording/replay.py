@@ -317,9 +317,9 @@ def _describe_difference(
 def _index_of_equal_broadcast(
     frame: can.Message, estimate: Estimate, broadcasts: deque[Broadcast]
 ) -> int | None:
-    """Return the index of the broadcast with the transfer_id and the values of a frame; None if none has.
+    """Return the index of the broadcast that has the transfer_id and the values of a frame.
 
-    ``estimate`` is the decoded frame.
+    ``estimate`` is the decoded frame. Returns None if there is no such broadcast.
     """
     index = _index_of_broadcast(estimate.transfer_id, broadcasts)
     if index is None:

@@ -93,9 +93,9 @@ def ageing_rows() -> dict[str, list[Experiment]]:
 
 
 def peer_rows() -> dict[str, list[Experiment]]:
-    """Return the experiments, by row, with robots that know how their sensors age: of two kinds of ageing.
+    """Return the experiments of each row by its label: a kind of ageing, with robots that know how they age.
 
-    All have the longest memory.
+    All of these robots have the longest memory.
     """
     rows: dict[str, list[Experiment]] = {}
     for kind, peers in PEERS_BY_KIND.items():

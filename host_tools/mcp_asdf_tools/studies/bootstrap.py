@@ -125,13 +125,19 @@ def _spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
 
 
 def largest_of_resampled(statistics: Sequence[Resampled]) -> Resampled:
-    """Return the largest of several statistics: of their values, and again of each of their resamples."""
+    """Return the largest of several statistics.
+
+    Its value is the largest of their values, and each of its resamples is the largest of theirs.
+    """
     value = max(statistic.value for statistic in statistics)
     resamples = np.array([statistic.resamples for statistic in statistics])  # a row for each statistic
     return Resampled(value, resamples.max(axis=0))
 
 
 def mean_of_resampled(statistics: Sequence[Resampled]) -> Resampled:
-    """Return the mean of several statistics: of their values, and of each of their resamples."""
+    """Return the mean of several statistics.
+
+    Its value is the mean of their values, and each of its resamples is the mean of theirs.
+    """
     value = float(np.mean([statistic.value for statistic in statistics]))
     return Resampled(value, np.mean([statistic.resamples for statistic in statistics], axis=0))

@@ -120,7 +120,7 @@ def _counts_as(experiment: Experiment, filter_name: str) -> bool:
 
 
 def _with_filter(trials: Trials, filter_name: str) -> Trials:
-    """Return trials as ones of an experiment with this filter, as which it counts."""
+    """Return trials with another filter in their experiment, with which they would have the same results."""
     return replace(trials, experiment=replace(trials.experiment, filter=filter_name))
 
 
@@ -169,9 +169,9 @@ def _select_by_filter(
 def _select_with_shortest_period(
     study_results: StudyResults, study_part: StudyPart, filter_names: Sequence[str]
 ) -> list[Trials]:
-    """Return the trials of a part that count as ones with these filters, as ``_counts_as`` says.
+    """Return the trials of a part's experiments that count as ones with a filter of ``filter_names``.
 
-    Of experiments with a filter only those with its shortest period are returned.
+    ``_counts_as`` decides that. Experiments with a longer filter period than the shortest are left out.
     """
     selected: list[Trials] = []
     for filter_name in filter_names:

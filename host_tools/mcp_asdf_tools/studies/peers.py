@@ -135,7 +135,10 @@ class BayesCpfRobot(ReferenceRobot):
         return min(max(self._truncated_mean(), lowest), highest)
 
     def _mean_x_since_update(self) -> float:
-        """Return the mean of the informed estimates: the oldest weighs most, the newest has the weight 1."""
+        """Return the weighted mean of the informed estimates since the last update of b_hat.
+
+        The oldest of them weighs most, and the newest has the weight 1.
+        """
         weights = range(len(self._x_since_update), 0, -1)
         return float(np.average(self._x_since_update, weights=weights))
 

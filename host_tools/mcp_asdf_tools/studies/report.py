@@ -160,9 +160,10 @@ def _decisions_by_part(decisions: Sequence[Decision]) -> dict[str, list[Decision
 
 
 def _answers_by_question(decisions: Sequence[Decision]) -> dict[str, list[Decision]]:
-    """Return the decisions that answer each of the QUESTIONS of users, one for each part of the study.
+    """Return the decisions that answer the questions of users, by question.
 
-    Questions without an answer are left out.
+    QUESTIONS has the claim whose decisions answer a question; there is one for each part of the study that it
+    is about. Questions without an answer are left out.
     """
     answers_by_question: dict[str, list[Decision]] = {}
     for claim_name, question in QUESTIONS.items():
@@ -173,7 +174,7 @@ def _answers_by_question(decisions: Sequence[Decision]) -> dict[str, list[Decisi
 
 
 def _table_of_runs(parts: Sequence[StudyPart], study_size: StudySize) -> str:
-    """Return the report's table of what was run, with a row for each part of the study."""
+    """Return the table of the experiments that were run, in Markdown; each part of the study has a row."""
     rows: list[list[object]] = []
     for study_part in parts:
         cells = cells_of(study_part)
@@ -199,10 +200,10 @@ def heading_of(claim_name: str) -> str:
 
 
 def comparison_table(decision: Decision) -> str:
-    """Return a claim's comparisons as a table in Markdown, by the labels of their rows and columns.
+    """Return a claim's comparisons as a table in Markdown; each says in which row and column it belongs.
 
-    A cell has a mark of MARK_OF_OUTCOME and the difference with its interval; it is empty where the claim has
-    no comparison.
+    The cell of a comparison has a mark of MARK_OF_OUTCOME and the difference with its interval. Cells of
+    which the claim has no comparison are empty.
     """
     text_by_cell: dict[tuple[str, str], str] = {}
     for comparison in decision.comparisons:
@@ -261,7 +262,7 @@ _TEMPLATE_GLOBALS: dict[str, Any] = {
     "resamples": RESAMPLES,
     "e_max": E_MAX,
 }
-"""What the templates use in any report: how claims are shown, and the limits of verdicts."""
+"""Variables that templates have in every report: functions that show claims, and the limits of verdicts."""
 
 
 # --- Other formats ---------------------------------------------------------------------------------------
@@ -286,9 +287,10 @@ def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> 
 
 
 def _csv_columns_of(comparison: Comparison) -> list[str]:
-    """Return the texts of a comparison in CSV_COLUMNS, from "cells" to "holds".
+    """Return the texts of a comparison for the columns "cells" to "holds" of CSV_COLUMNS.
 
-    Between these are what is expected, the size of the effect, and its value with the ends of its interval.
+    They are what is compared, which difference is expected, the smallest difference that counts, the
+    difference with the ends of its interval, and whether the expectation holds.
     """
     text_of_outcome = {True: "yes", False: "no", None: "open"}
     numbers = (comparison.size, *comparison.interval)  # value, low and high

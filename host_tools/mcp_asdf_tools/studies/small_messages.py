@@ -198,7 +198,7 @@ def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
 
 
 def _draw_ratios_of_filter(axes: Axes, filter_name: str, ratios: RatiosByCode) -> None:
-    """Draw a filter's ratios of errors over the bits of x_hat, a line for each number of bits of alpha."""
+    """Draw a filter's ratios over the bits of x_hat; each number of bits of alpha has a line."""
     for alpha_bits in ALPHA_BITS[filter_name]:
         ratio_values = [ratios[MessageCode(x_hat_bits, alpha_bits)].value for x_hat_bits in X_HAT_BITS]
         axes.plot(X_HAT_BITS, ratio_values, marker=".", label=f"alpha {alpha_bits}")

@@ -104,7 +104,7 @@ def run_rows(
 
 
 def _shorten(experiments_by_row: Mapping[str, Sequence[Experiment]]) -> dict[str, list[Experiment]]:
-    """Return the experiments of rows with the trials and steps of the quick form."""
+    """Return the experiments of all rows, shortened to the trials and steps of the quick form."""
     return {
         label: [
             replace(experiment, trials=QUICK_TRIALS, steps=min(experiment.steps, QUICK_STEPS))

@@ -15,10 +15,10 @@ def format_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def format_cells(corner: str, text_by_cell: Mapping[tuple[str, str], str]) -> str:
-    """Return a table in Markdown of texts by their row and column; other cells are empty.
+    """Return a table in Markdown; ``text_by_cell`` has the texts of its cells by row and column.
 
-    Rows and columns are in the order in which they first come in ``text_by_cell``. ``corner`` is the text in
-    the upper left corner.
+    Cells without a text are empty. Rows and columns are in the order in which they first come in
+    ``text_by_cell``. ``corner`` is the text in the upper left corner.
     """
     rows: list[str] = []
     columns: list[str] = []

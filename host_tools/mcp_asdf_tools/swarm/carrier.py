@@ -430,13 +430,16 @@ class Carrier:
             self._count_content(contents[index], deliveries.receivers[index])
 
     def _hand_over_estimates(self, estimates: EstimateRows, receivers: ReceiverMask) -> None:
-        """Let each robot receive its estimates; ``receivers`` has a row for each estimate."""
+        """Let each robot receive its estimates; row k of ``receivers`` says which robots get estimate k."""
         for robot in self._robots.values():
             is_received = receivers[:, robot.id]
             robot.receive_all(estimates[is_received])
 
     def _count_content(self, content: FrameContent, is_receiver: NDArray[np.bool_]) -> None:
-        """Let the receivers of a frame count it by its content; ``is_receiver`` has an entry for each id."""
+        """Let the receivers of a frame count its content.
+
+        Robot i is a receiver if entry i of ``is_receiver`` is true.
+        """
         is_receiver_by_id = is_receiver.tolist()  # which takes less time than to index the array
         for robot in self._robots.values():
             if is_receiver_by_id[robot.id]:

@@ -54,8 +54,8 @@ class Deliveries:
     """Frames on their way to robots, in the order in which robots receive them.
 
     Attributes:
-        sent_frames: The frames. A frame that faults corrupt, which flip other bits for each receiver, is
-            here once for each of its receivers.
+        sent_frames: The frames. A frame that a fault has corrupted is here once for each of its receivers,
+            since the fault flips other bits for each of them.
         receivers: The robots that receive each frame.
         delay: Ticks by which faults delay all of these frames.
         copy_number: Distinguishes copies of one frame for the same receiver.

@@ -103,10 +103,7 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
 
 
 def _needs_no_filter(settings: SwarmSettings) -> bool:
-    """Return whether flawed robots trust their sensors too little, in a swarm where all hear all.
-
-    Without flawed robots there is no such swarm.
-    """
+    """Return whether there are flawed robots that trust their sensors too little, and all robots hear all."""
     # The nearer an assumed accuracy is to 1/2, the smaller is the confidence that the robot broadcasts.
     is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)
     return settings.flawed > 0 and settings.topology == "fully-connected" and is_underconfident
@@ -117,8 +114,7 @@ def _sentence_on_flawed_robots(changes: dict[str, dict[str, float]], settings: S
 
     ``changes`` has their mean b_hat before and after, by the term of each filter that recalibrates.
     """
-    # All swarms begin with the same robots, so any of them has the same b_hat before.
-    # The filters start with the same robots, so that each has the same mean b_hat before.
+    # The swarms of all filters begin with the same robots, so any of them has the same mean b_hat before.
     any_change, *_ = changes.values()
     present_b_hats = [f"{term} {change['after']:.2f}" for term, change in changes.items()]
     # Sensors that age have no one true accuracy.

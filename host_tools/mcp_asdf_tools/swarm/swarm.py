@@ -133,6 +133,8 @@ class Swarm:
 
         ``on_frame``, if it is not None, is called with every frame, which is marked as received before that.
         """
+        # Without ``on_frame`` frames stay unmarked: radio sends them on, and takes marked ones that come back
+        # from the bus for frames of other nodes.
         report_frame = _ignore_frame if on_frame is None else partial(_report_as_received, on_frame)
         # The drivers command over connections that the carrier opens.
         self._carrier.join(wiring, report_frame)
@@ -259,7 +261,7 @@ class Swarm:
     def _begin_outages(self) -> None:
         """Let the faults decide which robots are off the bus in this tick; crash and rejoin local robots.
 
-        Those that live afterwards take part in the tick.
+        Local robots that are alive after that take part in the tick.
         """
         self.faults.begin_tick(self.ticks, self._ids)
         for node in self._local_nodes:

@@ -159,7 +159,7 @@ def read_frame_log(
 def _read_timed_frames(
     log: Path, channel: str | None, summary: LogSummary
 ) -> Iterator[tuple[can.Message, float]]:
-    """Yield the frames of a log, each with the seconds since the first frame, which never get fewer.
+    """Yield the frames of a log, each with its time: the seconds since the first frame, which never go back.
 
     Raises UsageError if the log cannot be read, or if its times span more than a year.
     """

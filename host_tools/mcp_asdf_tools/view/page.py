@@ -84,7 +84,7 @@ def _read_file(name: str) -> str:
 
 
 def _encode_scripts(further_scripts: Mapping[str, str]) -> dict[str, str]:
-    """Return the URLs of the page's scripts and of further ones, by name; they import each other by name.
+    """Return the URLs of the page's scripts and of further ones, by the names under which they are imported.
 
     A URL contains its script, since a page opened as a file may load no other files. Most characters of a
     script may stand in such a URL as they are, which is shorter than base64.

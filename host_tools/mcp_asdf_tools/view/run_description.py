@@ -28,9 +28,9 @@ _MAX_UNFILTERED_ROBOT_STEPS = 20_000_000
 def describe_swarm(settings: SwarmSettings) -> RunDescription:
     """Return the description of a swarm's run on an emulated bus, which is trial 0 of its world.
 
-    For a swarm without faults and refused ids it has the errors without a filter, which are those of another
-    run, computed here. That run has no faults and refuses no id, so it would be no fair comparison for other
-    swarms. Raises UsageError if the arena cannot be made.
+    The description has the errors without a filter only if the swarm has neither faults nor refused ids.
+    They are those of another run, computed here, which has none of these either: for other swarms it would be
+    no fair comparison. Raises UsageError if the arena cannot be made.
     """
     faults = tuple((str(fault), fault.start, fault.stop) for fault in settings.faults)
     description = replace(_describe_emulated_run(settings, trial=0), faults=faults)
@@ -40,17 +40,16 @@ def describe_swarm(settings: SwarmSettings) -> RunDescription:
 
 
 def describe_trial(experiment: Experiment, trial: int) -> RunDescription:
-    """Return the description of an experiment's trial.
+    """Return the description of an experiment's trial, with the errors without a filter.
 
-    It has the errors without a filter, which are computed here by another run. Raises UsageError if the arena
-    cannot be made.
+    These are computed here by another run. Raises UsageError if the arena cannot be made.
     """
     description = _describe_emulated_run(experiment, trial)
     return replace(description, unfiltered_errors=_compute_unfiltered_errors(experiment, trial))
 
 
 def _describe_emulated_run(settings: Population, trial: int) -> RunDescription:
-    """Return the description of a run, but for faults and the errors without a filter.
+    """Return the description of a run; its faults and the errors without a filter are still missing.
 
     With robots that move, the floor is computed, too. Raises UsageError if the arena cannot be made.
     """
@@ -96,7 +95,7 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
 
 
 def _remove_filter(settings: Population, trials: int) -> Experiment:
-    """Return the experiment of so many trials whose robots are those of ``settings``, without a filter."""
+    """Return an experiment of so many trials with the parameters of ``settings``, but without a filter."""
     # ``settings`` may have more parameters than an experiment takes.
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)}
     parameters["filter"] = "none"

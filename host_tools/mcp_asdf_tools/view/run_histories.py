@@ -133,7 +133,7 @@ def run_trial_history(experiment: Experiment, trial: int) -> History:
 
 
 def _run_with_records(experiment: Experiment, trial: int) -> Trials:
-    """Run one trial, by its number, and record the robots in each step of which a history has a state.
+    """Run one trial, by its number, and record the robots in those steps of which a history has states.
 
     Raises UsageError if the trial is too long.
     """
@@ -147,7 +147,7 @@ def _run_with_records(experiment: Experiment, trial: int) -> Trials:
 
 
 def _complete_history(trials: Trials) -> History:
-    """Return the history of a trial that was run with records; ``trials`` has no other one."""
+    """Return the history of the only trial in ``trials``, which ``_run_with_records`` has run."""
     [trial] = trials.numbers
     estimates = _recorded_estimates(trials, trial)
     states = _complete_states(trials.experiment, trial, estimates, trials.sampling_interval)
@@ -157,10 +157,10 @@ def _complete_history(trials: Trials) -> History:
 def _complete_states(
     settings: WorldSettings, trial: int, estimates_by_state: Iterable[NDArray[np.float64]], spacing: int
 ) -> Iterator[State]:
-    """Yield a state for each of the robots' estimates, with what is computed from their world again.
+    """Yield the states of a run, of which only the robots' estimates are known.
 
-    Estimates are x, x_hat and b_hat at ticks 0, ``spacing`` and so on, each of shape (3, N). The rest is true
-    accuracies, links and positions.
+    ``estimates_by_state`` has x, x_hat and b_hat at ticks 0, ``spacing`` and so on, with the shape (3, N) at
+    each tick. True accuracies, links and positions are computed by running the world of the trial again.
     """
     world = World(settings, trial)
     # The world has no scene before its first step, so the state at tick 0 shows that of tick 1.
@@ -205,7 +205,7 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
 
 
 def _recorded_states(trials: Trials, trial: int) -> Iterator[State]:
-    """Yield the states that are recorded of a trial, or only every so many, to keep its page small.
+    """Yield the recorded states of a trial; if they are too many for a page, only some at equal distances.
 
     The true accuracy of all sensors is a parameter of the experiment. Raises UsageError if there is no such
     trial.

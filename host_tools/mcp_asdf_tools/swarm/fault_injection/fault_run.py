@@ -86,7 +86,7 @@ class FaultRun:
         return bool(word <= self._largest_hit)
 
     def content_word(self, node: int, tick: int, index: int) -> int:
-        """Return the content of a random frame, with this index among those that a node sends in a tick."""
+        """Return the content of a random frame, that with number ``index`` of those of a node in a tick."""
         # The first of the two words of index 0 decides whether the node is hit.
         _hit_word, content_word = self._words_for_node(2, tick, node, repetition=index)
         return int(content_word)
@@ -102,9 +102,10 @@ class FaultRun:
         return is_hit
 
     def hits_receivers(self, deliveries: Deliveries, words_per_receiver: int) -> ReceiverMask:
-        """Return a mask of the receivers for which each frame is hit, as the first word of each decides.
+        """Return a mask that says for which of its receivers each frame is hit.
 
-        Frames for which the fault is not active are not hit. Counts nothing. O(frames receivers).
+        The first of a receiver's words decides. Frames for which the fault is not active are not hit. Counts
+        nothing. O(frames receivers).
         """
         is_hit = np.zeros_like(deliveries.receivers)
         for index, sent_frame in enumerate(deliveries.sent_frames):

@@ -50,7 +50,7 @@ class LinkFault(Fault, ABC):
         if self.receivers is not None:
             _, robot_count = is_hit.shape
             spared_robots = [robot for robot in range(robot_count) if robot not in self.receivers]
-            # Their frames pass, whatever was drawn for them.
+            # The frames for these robots pass, whatever random words were drawn for them.
             is_hit[:, spared_robots] = False
         run.hit_count += int(is_hit.sum())
         spared_deliveries = replace(deliveries, receivers=deliveries.receivers & ~is_hit)
