@@ -76,7 +76,7 @@ def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -
 
 
 def _suffix_by_node(nodes: Sequence[int] | None) -> dict[int, str]:
-    """Return what follows the names in each node's entries: ``_`` and its id.
+    """Return the suffix of the names in a node's entries, which is ``_`` and the node's id, by that id.
 
     If ``nodes`` is None, the result is node 0 with an empty suffix, for entries that serve any node. Raises
     UsageError if a node is listed twice.
@@ -91,7 +91,7 @@ def _suffix_by_node(nodes: Sequence[int] | None) -> dict[int, str]:
 
 
 def _create_entries(estimate_format: FrameFormat, suffix_by_node: dict[int, str]) -> list[_Entry]:
-    """Return an entry for each kind of frame of each node: all of the first node, then those of the next."""
+    """Return the entries of all nodes, node by node; a node has an entry for each kind of frame."""
     entries = []
     for node, suffix in suffix_by_node.items():
         for kind, identifier in _identified_kinds(estimate_format, node):

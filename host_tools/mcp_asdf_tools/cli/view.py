@@ -164,7 +164,7 @@ def _read_recording(args: argparse.Namespace) -> History:
 
 
 def _read_frame_history(args: argparse.Namespace) -> History:
-    """Return the history of a log without events, and warn on standard error of what it cannot show."""
+    """Return the history of a log without events; warn on standard error of what the page cannot show."""
     from mcp_asdf_tools.recording.frame_logs import LogSummary
     from mcp_asdf_tools.view.frame_history import KnownTruth, read_frame_log
 

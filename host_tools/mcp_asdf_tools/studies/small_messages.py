@@ -123,10 +123,10 @@ def late_error(rows: Rows, message_bits: str, swarm: str) -> Resampled:
 
 
 def worst_ratios(rows: Rows, codes: Sequence[MessageCode]) -> RatiosByCode:
-    """Return for each of these codes how many times as large the late error is as with exact messages.
+    """Return the ratio of the late error with a code to that with exact messages, by code.
 
-    It is the largest of the ratios of SWARMS, with its interval of CONFIDENCE. Trials of one number had the
-    same floor and random numbers, so what two errors have in common cancels in their ratio.
+    The largest of the ratios of SWARMS is taken, with its interval of CONFIDENCE. Trials of one number had
+    the same floor and random numbers, so what two errors have in common cancels in their ratio.
     """
     exact_errors = {swarm: late_error(rows, EXACT, swarm) for swarm in SWARMS}
     worst: dict[MessageCode, Interval] = {}

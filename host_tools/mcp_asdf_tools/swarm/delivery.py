@@ -125,7 +125,7 @@ class DeliveryQueue:
         return arriving_now
 
     def _robots_in_range(self, sent_frames: Sequence[SentFrame]) -> ReceiverMask:
-        """Return the robots that are in range of the sender of each frame at present."""
+        """Return a mask that says which robots are at present in range of the sender of each frame."""
         senders = np.array([sent_frame.sender for sent_frame in sent_frames], np.intp)
         receivers_by_sender = self._current_neighbours().T  # row j: whether each robot receives from j
         return receivers_by_sender[senders]

@@ -68,7 +68,7 @@ def replay_values(
 def _replay_ticks(
     events: EventsReader, max_ticks: int, quantities: Sequence[str]
 ) -> Iterator[dict[int, list[float]]]:
-    """Replay a swarm's events; yield for each tick the values of the robots that ended it (settled), by id.
+    """Replay a swarm's events; for each tick yield, by id, the values of the robots that ended (settled) it.
 
     The values of a robot are in the order of ``quantities``. Raises UsageError if the events cannot be read,
     contradict each other, or go on after ``max_ticks``.

@@ -116,7 +116,7 @@ class RemoteFirmware:
         self.t += 1
 
     def receive_all(self, estimates: EstimateRows) -> int:
-        """Return how many estimates are accepted: all, as far as it is known here. The robot gets them."""
+        """Return the number of estimates, as if the robot accepted all. It gets them where it runs."""
         return len(estimates)
 
     def settle(self) -> None:

@@ -133,7 +133,7 @@ class FaultRun:
         return words.reshape(receiver_count, words_per_receiver)
 
     def corrupt(self, hit: Deliveries, words_per_receiver: int) -> Deliveries:
-        """Return deliveries with each frame once for each of its receivers, and with bits of it flipped.
+        """Return deliveries in which each receiver of a frame has a copy for itself, with flipped bits.
 
         The first of a receiver's words has decided on the hit, and each of the others chooses a bit.
         """

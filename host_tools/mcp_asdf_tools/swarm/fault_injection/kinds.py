@@ -69,9 +69,10 @@ class LinkFault(Fault, ABC):
 
     @abstractmethod
     def change(self, hit: Deliveries, run: FaultRun) -> list[Deliveries]:
-        """Return the deliveries that take the place of ``hit``: frames with the receivers for which it hits.
+        """Return the deliveries that take the place of ``hit``.
 
-        ``run`` is the state of the fault in this run.
+        ``hit`` has the frames that the fault hits, each with the receivers for which it is hit. ``run`` is
+        the state of the fault in this run.
         """
 
 
