@@ -46,7 +46,9 @@ def _check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
     """
     bit_text, integer_text = _solver_text(formulas), None
     if "bvmul" in bit_text or "bvudiv" in bit_text:
-        # Where the integers fail, nothing is left out: the words are asked about all of the formulas.
+        # If as_integers() cannot translate a formula, there is no query of integers. No claim is proved by
+        # that: the query of words, which has all of the formulas, has to be settled instead. Nothing in this
+        # block executes C, so an error of the machine about C that it does not know is never suppressed.
         with suppress(NotImplementedError):
             integer_text = _solver_text(as_integers(formulas))
     # Another seed and more steps may settle what an attempt has not: the solver's search is a heuristic.
@@ -128,7 +130,8 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
         for machine, terms in all_paths(make_machine, run):
             prove_obligations(machine, name)
             if terms is not None:
-                is_possible |= _check_satisfiable(*machine.facts)[0] == z3.sat
+                # One path is enough: the solver is not asked about the others.
+                is_possible = is_possible or _check_satisfiable(*machine.facts)[0] == z3.sat
                 _prove_each(_each(contract.ensures(*terms)), machine, name)
         # If no arguments fulfilled the facts, any result would.
         if not is_possible:
@@ -136,7 +139,7 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
 
 
 def _summaries_of_callees(program: Program, contract: Contract, contracts: Contracts) -> dict[str, Summary]:
-    """Return what stands for called functions in a proof: the stand-ins and the lemmas of a contract."""
+    """Return the summaries with which a contract is proved: its stand-ins, and one for each of its lemmas."""
     summaries = dict(contract.stand_ins)
     for lemma in contract.used_lemmas:
         requires = _requires_proved_constant(program, lemma, contracts[lemma])
@@ -145,20 +148,20 @@ def _summaries_of_callees(program: Program, contract: Contract, contracts: Contr
 
 
 def _prove_each(formulas: Iterable[Any], machine: Machine, name: str) -> None:
-    """Prove formulas at the end of a path, each with those before it."""
+    """Prove formulas at the end of a path. Those that are proved are facts in the proof of the next one."""
     for formula in formulas:
         prove(formula, *machine.facts, description=name)
         machine.facts.append(formula)
 
 
 def prove_obligations(machine: Machine, name: str) -> None:
-    """Prove what the code of a function relies on, as far as the machine met it for the first time."""
+    """Prove the machine's obligations: they are claims on which the code of the function relies."""
     for obligation in machine.obligations:
         prove(obligation.claim, *obligation.facts, description=f"{name}: {obligation.description}")
 
 
 def _requires_proved_constant(program: Program, name: str, contract: Contract) -> Formula:
-    """Return what a caller has to fulfil: ``requires``, and a constant for which there is a proof."""
+    """Return the condition for a call: ``requires`` holds, and the constant is one that has a proof."""
     if not contract.constant_parameter:
         return contract.requires
     position = [parameter.name for parameter in program.parameters(name)].index(contract.constant_parameter)
@@ -221,7 +224,7 @@ def _result_terms(result: Any, arguments: Iterable[Any]) -> list[Any]:
 
 
 Writer = Callable[[Machine, Sequence[Any], Sequence[Any]], Any]
-"""Takes a machine, and arguments and their terms. Writes what the call does, and returns its result."""
+"""Executes a call: it takes a machine, arguments and their terms, writes to memory and returns the result."""
 
 
 def any_result(name: str, requires: Formula = always, ensures: Formula = always) -> Summary:
@@ -266,7 +269,10 @@ def uninterpreted(
 
 
 def _stand_in(name: str, requires: Formula, ensures: Formula, write: Writer) -> Summary:
-    """Return a stand-in that owes what the function requires, and of whose effects ``ensures`` is known."""
+    """Return a stand-in that lets ``write`` execute the call.
+
+    It obliges the caller to ``requires``, and lets ``ensures`` be known after the call.
+    """
 
     def call(machine: Machine, *arguments: Any) -> Any:
         # The contract speaks of arguments as they were before the call, which may change their targets.

@@ -10,6 +10,7 @@ import z3
 
 from proofs import arithmetic
 from proofs import prove as prover
+from proofs.integers import as_integers
 from proofs.prove import Contract, UnprovenError, always, prove, prove_lemma
 from proofs.source import CORE, VARIANTS, program
 
@@ -51,9 +52,9 @@ def test_a_negative_word_is_not_taken_for_a_positive_one() -> None:
 
 
 def test_a_word_cut_out_of_a_shifted_one_is_not_taken_to_end_with_its_zeros() -> None:
-    """Where words become integers, | is taken for the sum if the zeros at an end leave room for a number.
+    """The translation to integers takes a | b for a + b if a ends with at least as many zeros as b has bits.
 
-    The 8 zeros of a shift are cut off here, so that the lowest bit of the rest may be 1.
+    A shift has given the word 8 zeros at its end. They are cut off here, so that its lowest bit may be 1.
     """
     p, q = z3.BitVecs("p q", 32)
     without_zeros = z3.Extract(39, 8, z3.ZeroExt(8, p) << 8)
@@ -63,9 +64,9 @@ def test_a_word_cut_out_of_a_shifted_one_is_not_taken_to_end_with_its_zeros() ->
 
 @pytest.mark.parametrize("is_function", [False, True])
 def test_unknowns_of_one_name_and_two_sizes_are_not_taken_for_one(is_function: bool) -> None:
-    """Where words become integers they lose their size. A product is needed for that, and zero is one here.
+    """A word that is translated to an integer, as it is where there is a product, loses its size.
 
-    A function of a word of 8 bits is another one than that of a word of 16 bits, too.
+    Functions of one name are also different if one takes a word of 8 bits and the other one of 16 bits.
     """
     p, q = z3.BitVecs("p q", 32)
     byte_sort, half_sort = z3.BitVecSort(8), z3.BitVecSort(16)
@@ -77,6 +78,22 @@ def test_unknowns_of_one_name_and_two_sizes_are_not_taken_for_one(is_function: b
 
     with pytest.raises(UnprovenError, match="broken by"):
         prove(z3.ZeroExt(8, byte) == half, p * q == 0)
+
+
+def test_formulas_without_a_translation_to_integers_are_settled_as_words() -> None:
+    """The translator does not know ^, so it refuses the facts here, and the solver gets no integers.
+
+    The words still decide the claim by all facts: it has a proof if both words are equal, and else none.
+    """
+    p, q = z3.BitVecs("p q", 8)
+    is_same, is_different = p ^ q == 0, p ^ q != 0
+    for fact in (is_same, is_different):
+        with pytest.raises(NotImplementedError):
+            as_integers([fact])
+
+    prove(p * p == q * q, is_same)
+    with pytest.raises(UnprovenError, match="broken by"):
+        prove(p * p == q * q, is_different)
 
 
 def test_a_contract_that_no_argument_meets_has_no_proof() -> None:
@@ -98,7 +115,7 @@ def test_a_call_that_breaks_what_the_called_function_requires_has_no_proof() -> 
 
 
 def test_a_call_with_a_constant_for_which_a_lemma_has_no_proof_is_refused() -> None:
-    """divide_24() calls take_digit() for 12 bits. Here the contract of take_digit() is proved for 7 alone."""
+    """divide_24() calls take_digit() for 12 bits. Here take_digit() has a contract for 7 bits alone."""
     lemmas = arithmetic.contracts(VARIANTS[0])
     contracts = {**lemmas, "take_digit": replace(lemmas["take_digit"], constant_values=(7,))}
 
