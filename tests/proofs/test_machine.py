@@ -1,6 +1,7 @@
-"""The machine executes C as C is defined: what holds has a proof, and what does not is refused.
+"""The machine executes C as the standard defines it.
 
-Each case is a function of two unknown words, a and b.
+A right claim about a function has a proof. A wrong claim is refused, and so is code whose behaviour C leaves
+undefined. Each case is a function of two unknown words, a and b.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ def parse_function(folder: Path, body: str) -> Program:
 
 
 def is_below_half(word: Any) -> Any:
+    """Return that the highest bit of a word is 0."""
     return z3.ULT(word, 2**31)
 
 
@@ -116,7 +118,7 @@ def is_below_half(word: Any) -> Any:
 def test_a_right_claim_about_a_function_has_a_proof_and_a_wrong_one_has_none(
     body: str, right_claim: Any, wrong_claim: Any, tmp_path: Path
 ) -> None:
-    """A claim takes the result and both arguments. A wrong one differs from the right one in some cases."""
+    """A claim takes the result r and both arguments. The wrong claim is one that some arguments break."""
     code = parse_function(tmp_path, body)
     prove_contract(code, "f", {"f": Contract(right_claim)})
 
@@ -128,6 +130,7 @@ def test_a_right_claim_about_a_function_has_a_proof_and_a_wrong_one_has_none(
     ("defined_body", "undefined_body", "description"),
     [
         pytest.param(
+            # b & 32U may be 32, and a has 32 bits.
             "if (a > 7U) { a = 7U; } return a << (b & 31U);",
             "if (a > 7U) { a = 7U; } return a << (b & 32U);",
             "shift by the width",
@@ -140,21 +143,28 @@ def test_a_right_claim_about_a_function_has_a_proof_and_a_wrong_one_has_none(
             id="a shift in a condition's operand",
         ),
         pytest.param(
-            "return b == 0U || a / b > 1U;", "return a / b > 1U || b == 0U;", "division by 0", id="a division"
+            # The quotient comes before the comparison of b with 0.
+            "return b == 0U || a / b > 1U;",
+            "return a / b > 1U || b == 0U;",
+            "division by 0",
+            id="a division",
         ),
         pytest.param(
+            # The sum of two numbers of 31 bits may exceed the largest int32_t.
             "return (uint32_t)((int32_t)(a >> 2) + (int32_t)(b >> 2));",
             "return (uint32_t)((int32_t)(a >> 1) + (int32_t)(b >> 1));",
             "overflow of +",
             id="a sum of signed numbers",
         ),
         pytest.param(
+            # a % 4U may be 3, and the last element is words[2].
             "uint32_t words[3]; words[a % 3U] = b; return words[0];",
             "uint32_t words[3]; words[a % 4U] = b; return words[0];",
             "an element",
             id="an index",
         ),
         pytest.param(
+            # b & 3U may be 3, and i then has the values 0 to 3, in four turns.
             "for (uint32_t i = 0; i < (b & 3U); ++i) { /* at most 3 turns */ ++a; } return a;",
             "for (uint32_t i = 0; i <= (b & 3U); ++i) { /* at most 3 turns */ ++a; } return a;",
             "at most 3 turns",
@@ -165,7 +175,11 @@ def test_a_right_claim_about_a_function_has_a_proof_and_a_wrong_one_has_none(
 def test_code_that_c_leaves_undefined_or_that_breaks_its_bound_is_refused(
     defined_body: str, undefined_body: str, description: str, tmp_path: Path
 ) -> None:
-    """Nothing is claimed of the results, so what is refused is the code itself."""
+    """Two bodies differ in one place, where the second breaks a rule of C, or a bound that a comment states.
+
+    The contract says nothing about the result of f. So the proof of the second body can only fail at the code
+    in this place, and the error has the ``description`` of what is wrong there.
+    """
     contracts = {"f": Contract(always)}
     prove_contract(parse_function(tmp_path, defined_body), "f", contracts)
 
