@@ -18,10 +18,10 @@ from proofs.prove import Contract, Formula
 from proofs.source import BITS, HARDWARE, LANES, TABLE, Variant
 
 RECIPROCAL_LIMITS = {TABLE: (2**30, Fraction(710, 1000)), LANES: (2**29, Fraction(252, 1000))}
-"""By the way to divide, the least divisor that prepare() is given, and by how much its result may be smaller
-than 2^46 / d, as a share of that quotient in units of 2^-13.
+"""Limits of prepare() by the way to divide: the least divisor d that it is given, and its largest error.
 
-The solver takes these limits for granted. ``every_divisor.c`` tries all divisors, d.
+The result of prepare() may be smaller than 2^46 / d. The error is the missing part of 2^46 / d, in units of
+2^-13. The solver takes both limits for granted. ``every_divisor.c`` tries all divisors.
 """
 
 
@@ -209,8 +209,9 @@ class DivisionInvariant:
             self._are_others_kept(machine), f"variables that turn {self.turns} leaves as they are"
         )
         if not machine.last_decision:
-            # Whether d was subtracted or not, what follows is the same: of the three variables that a turn
-            # changes only the invariant stays known, and all others are as claimed.
+            # This is the path on which d was not subtracted. It need not be followed: of the three variables
+            # that a turn changes only the invariant stays known, and the others are as just claimed, so that
+            # the rest would be the same as on the path on which d was subtracted.
             raise PathEndsError
         # Forget what the turn did: the variables may hold anything that fulfils the invariant. So the
         # formulas stay as short as for one turn.
@@ -221,11 +222,11 @@ class DivisionInvariant:
             self.turns_in_byte = 0  # the inner loop ends here, and its byte joins the quotient
 
     def _are_others_kept(self, machine: Machine) -> Any:
-        """Return that the variables that a turn may not change have the values that the rest needs."""
+        """Return that the four variables that a turn may not change have the values that they must have."""
         bits = constant_value(machine.argument_terms["bits"])
         assert bits is not None
         turns_left = bits + 1 - self.turns
-        # The counters are decremented only after this. All bytes but the first one have 8 turns.
+        # The counters, turns and bytes, are decremented after this. All bytes but the first one have 8 turns.
         expected_terms = {
             "d": machine.argument_terms["d"],
             "bits": bits,

@@ -27,6 +27,7 @@ from proofs.robust import (
     may_run,
     may_vote,
     minimum_of,
+    product,
 )
 from proofs.source import Variant
 
@@ -168,7 +169,10 @@ def _counters_after_message(counters: Any, is_valid: Any, is_new: Any) -> dict[s
 
 
 def _members_with_estimate_in_slot(robot: Any, sender: Any, x_hat: Any, enters_slot: Any) -> dict[str, Any]:
-    """Return the members of a robot that has x_hat in the sender's slot, if the condition holds."""
+    """Return the members ``received`` and ``robust`` of a robot after a message.
+
+    If ``enters_slot`` holds, x_hat is in the sender's slot. Otherwise they are as before.
+    """
     slot = zero_extend(sender & 31, 32)
     estimates = {
         index: z3.If(z3.And(enters_slot, slot == index), _to_slot_estimate(x_hat), estimate)
@@ -189,7 +193,7 @@ def _sums_with_message(sums: Any, x_hat: Any, alpha: Any) -> Any:
     """Return the sums of a round with one more message, as section 6 adds it."""
 
     def times_x_hat(word: Any) -> Any:
-        return result_of("multiply", 64, word, x_hat)
+        return product(word, x_hat)
 
     message_terms = {
         "alpha": alpha,
@@ -220,7 +224,7 @@ def _may_update(robot: Any) -> Any:
 
 
 def _may_settle(robot: Any) -> Any:
-    """Return what a vote needs, with the robust filter, and what the filter needs where it is due."""
+    """Return the conditions for a vote, if the filter is the robust one, and for its run, if one is due."""
     return z3.And(
         z3.Implies(is_robust(robot["config"]), may_vote(robot)),
         z3.Implies(robot["filter_left"] == 1, _may_update(robot)),
@@ -372,9 +376,9 @@ def _is_test_of_paper(rejects: Any, _robot_after: Any, robot: Any) -> list[Any]:
     m_x_hat_fits = z3.ULT(wide(m) * wide(robot["x_hat"]), 2**30)
     # The products of k and the spread's two words add up to that of k and the spread.
     upper_product, lower_product = wide(k) * wide(high_word(spread)), wide(k) * wide(low_word(spread))
-    product = wide(k) * wide(spread)
-    is_sum_of_two = z3.And(product == (upper_product << 32) + lower_product, z3.ULT(upper_product, 2**58))
-    is_rejected = z3.UGT(wide(difference) * wide(difference) * 2**26, product)
+    k_spread = wide(k) * wide(spread)
+    is_sum_of_two = z3.And(k_spread == (upper_product << 32) + lower_product, z3.ULT(upper_product, 2**58))
+    is_rejected = z3.UGT(wide(difference) * wide(difference) * 2**26, k_spread)
     return [spread_fits, m_x_hat_fits, is_sum_of_two, (rejects != 0) == is_rejected]
 
 
@@ -385,17 +389,18 @@ TEST = Contract(_is_test_of_paper, _may_test, stand_ins={"multiply": _call_multi
 
 
 def _is_reestimated(b_hat: Any, _robot_after: Any, robot: Any, x_bar: Any) -> list[Any]:
-    """Return that b_hat is eq. 8 within its range, or 0 if x_bar says nothing. It is a quotient of any value.
+    """Return that b_hat is the result of eq. 8, limited to its range, or 0 if x_bar is too near to 1/2.
 
-    Where x_bar is below 1/2 the colours are exchanged, and x is 1 - x_bar, and 2^-32 less.
+    The claim holds whatever multiply() and quotient() return. Where x_bar is below 1/2 the colours are
+    exchanged: x is then ~x_bar, which is 1 - x_bar - 2^-32.
     """
     t = robot["t"]
     is_mirrored = z3.ULT(x_bar, 2**31)
     x, n = z3.If(is_mirrored, ~x_bar, x_bar), z3.If(is_mirrored, t - robot["n"], robot["n"])
     # Both sides of eq. 8 are multiplied by t: t (2 x - 1), and n - t (1 - x), in units of 2^-32.
     g = 2 * x  # the 1 is 2^32, which is lost in 32 bits
-    divisor = result_of("multiply", 64, t, g)
-    dividend = z3.Concat(n, z3.BitVecVal(0, 32)) - result_of("multiply", 64, t, -x)
+    divisor = product(t, g)
+    dividend = z3.Concat(n, z3.BitVecVal(0, 32)) - product(t, -x)
     positive_dividend = z3.If(dividend < 0, z3.BitVecVal(0, 64), dividend)
     quotient = result_of("quotient", 32, minimum_of(positive_dividend, divisor), divisor)
     least, largest = (z3.BitVecVal(limit, 32) for limit in B_HAT_RANGE)
@@ -404,9 +409,9 @@ def _is_reestimated(b_hat: Any, _robot_after: Any, robot: Any, x_bar: Any) -> li
     return [is_b_hat_or_zero(b_hat), is_eq_8]
 
 
-def _is_zero_only_for_zero(product: Any, a: Any, b: Any) -> Any:
-    """Return what follows from the lemma of multiply(): a product is 0 only if one of its factors is."""
-    return z3.Implies(product == 0, z3.Or(a == 0, b == 0))
+def _is_zero_only_for_zero(result: Any, a: Any, b: Any) -> Any:
+    """Return that a product is 0 only if one of its factors is: the lemma of multiply() implies it."""
+    return z3.Implies(result == 0, z3.Or(a == 0, b == 0))
 
 
 # design: R23
@@ -478,14 +483,13 @@ def _is_informed_estimate(result: Any, _sums_after: Any, sums: Any, x_hat: Any, 
     """
     own_units = alpha_in_units(own_alpha)
     alpha = sums["alpha"] + own_units
-    low = sums["alpha_x_low"] + result_of("multiply", 64, low_word(own_units), x_hat)
-    high = sums["alpha_x_high"] + result_of("multiply", 64, high_word(own_units), x_hat)
+    low = sums["alpha_x_low"] + product(low_word(own_units), x_hat)
+    high = sums["alpha_x_high"] + product(high_word(own_units), x_hat)
     # The mean is in units of 2^-32, and x in units of 2^-23.
     x = z3.LShR(result_of("round_mean", 32, alpha, low, high), 9)
     zero_word = z3.BitVecVal(0, 32)
-    upper_product = z3.Concat(x * high_word(alpha), zero_word)
-    product = result_of("multiply", 64, x, low_word(alpha)) + upper_product
-    rest = low + z3.Concat(low_word(high), zero_word) - product
+    x_alpha = product(x, low_word(alpha)) + z3.Concat(x * high_word(alpha), zero_word)
+    rest = low + z3.Concat(low_word(high), zero_word) - x_alpha
     correction = z3.If(z3.UGE(rest, alpha), z3.BitVecVal(1, 32), z3.BitVecVal(0, 32))
     return result == z3.If(alpha == 0, x_hat, x + correction)
 

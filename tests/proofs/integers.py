@@ -84,7 +84,7 @@ class IntegerTranslator:
         return integer
 
     def _resize(self, word: Any, part: Any) -> Integer:
-        """Return the integer of a word that is another one, made longer or cut out of it."""
+        """Return the integer of a word that extends another one, ``part``, or is cut out of it."""
         kind, integer = word.decl().kind(), self._integer(part)
         is_positive = integer.largest < 2 ** (part.size() - 1)
         if kind == z3.Z3_OP_ZERO_EXT or (kind == z3.Z3_OP_SIGN_EXT and is_positive):
@@ -98,8 +98,8 @@ class IntegerTranslator:
         """Return an unknown number, or the result of an unknown function, within the range of its word."""
         arguments, largest = [self._integer(child).term for child in word.children()], 2 ** word.size() - 1
         sorts = [z3.IntSort()] * (len(arguments) + 1)
-        # Words of one name but of different sizes are different unknowns. Integers have no size, so that the
-        # name has to tell them apart.
+        # Two words with the same name but different sizes are different unknowns. Integers have no size, so
+        # their names have to differ.
         sizes = [part.size() for part in (*word.children(), word)]
         name = f"{word.decl().name()} {sizes}"
         term = z3.Function(name, *sorts)(*arguments) if arguments else z3.Int(name)
@@ -128,7 +128,10 @@ class IntegerTranslator:
 
 
 def _shift_or_mask(word: Any, integer: Integer, constant: int | None) -> Integer:
-    """Return an integer shifted by a constant, or its lowest bits by a mask of ones."""
+    """Return the result of a word's operator: a shift by a constant, or & with a mask of lowest bits.
+
+    Raises NotImplementedError for any other operator.
+    """
     kind = word.decl().kind()
     if constant is not None and kind == z3.Z3_OP_BSHL:
         return Integer(integer.term * 2**constant, integer.largest << constant)

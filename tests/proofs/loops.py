@@ -1,4 +1,4 @@
-"""Every loop of the firmware ends: within the turns that a comment beside it states, for any memory."""
+"""A proof that the loops of a function end within the turns that a comment beside them states."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ A condition takes the term of the function's argument. The function's callers se
 
 
 def prove_loops_end(code: Program, name: str) -> None:
-    """Prove that the loops of a function end. Raises UnprovenError if one might go on.
+    """Prove that the loops of a function end. Raises UnprovenError if one might have more turns than stated.
 
-    A ``while`` needs the whole function, with unknown arguments. Of a ``for`` the head is enough, as its body
-    must not change the variables there (rule 14.2 of MISRA). AssertionError says that a body does, or that
-    the function has another kind of loop, of which nothing can be said here.
+    For a ``while`` the whole function is executed with unknown arguments. For a ``for`` its head is enough,
+    as the body must not change the variables in the head (rule 14.2 of MISRA). Raises AssertionError if a
+    body does, or if the function has a ``do`` or ``goto``, for which there is no proof here.
     """
     function = code.functions[name]
     has_other_loops = any(nodes(function, c_ast.DoWhile)) or any(nodes(function, c_ast.Goto))
@@ -72,14 +72,14 @@ def _declare_unknown(machine: Machine, function_name: str, declaration: Any) -> 
 
 
 def _names_in(*trees: Any) -> set[str]:
-    """Return the names in some syntax trees; a tree that is missing is None."""
+    """Return the names that occur in some syntax trees. Parts that a loop's head lacks are None."""
     return {identifier.name for tree in trees if tree for identifier in nodes(tree, c_ast.ID)}
 
 
 def _variables_changed_by(statement: Any) -> set[str]:
-    """Return the variables that a statement may change: it assigns to them, or takes their address.
+    """Return the variables that a statement may change, as it assigns to them or takes their address.
 
-    An element of an array is no variable.
+    An array is not among them if only its elements are changed.
     """
     targets = [assignment.lvalue for assignment in nodes(statement, c_ast.Assignment)]
     for unary in nodes(statement, c_ast.UnaryOp):

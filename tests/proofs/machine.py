@@ -348,7 +348,10 @@ class Machine:
         return self.evaluate(node).term != 0
 
     def _evaluate_logical(self, node: Any) -> Any:
-        """Return the formula of an && or ||, whose right operand counts if the left one settles nothing."""
+        """Return the formula of an && or ||.
+
+        The right operand is evaluated only where the left one does not settle the result.
+        """
         left_condition = self.evaluate_condition(node.left)
         needs_right = left_condition if node.op == "&&" else z3.Not(left_condition)
         if _has_effects(node.right):
@@ -468,7 +471,7 @@ class Machine:
         return self.call(name, *converted_arguments)
 
     def _convert_argument(self, argument: Any, parameter: Any) -> Any:
-        """Return an argument as the parameter has it: an array is then a pointer to its first element."""
+        """Return an argument as the parameter has it: an array becomes a pointer to its first element."""
         type_ = self._resolve_type(parameter.type)
         if isinstance(argument, dict) and isinstance(type_, (c_ast.PtrDecl, c_ast.ArrayDecl)):
             return Pointer(argument, 0)
@@ -569,9 +572,7 @@ class Machine:
         members = self._build_value(type_, "", lambda _, number_type: constant(0, number_type))
         for (name, member_type), expression in zip(member_types.items(), node.exprs, strict=False):
             if not isinstance(member_type, (IntegerType, c_ast.PtrDecl)):
-                raise NotImplementedError(
-                    f"a list with a value for {name}, which is no number and no pointer"
-                )
+                raise NotImplementedError(f"a value for {name}, which is no number and no pointer")
             members[name] = self._convert(self.evaluate(expression), member_type)
         return members
 
@@ -643,11 +644,11 @@ def copy_value(value: Any) -> Any:
 
 
 def _members_of(type_: Any) -> list[Any]:
-    """Return the members that a value of a structure has here, or the first one of a union.
+    """Return the members that the machine stores: all of a structure, but only the first one of a union.
 
-    Estimates and sums of a round are kept apart as if their union were a structure: a call uses one of them,
-    by the robot's filter, and never reads the one after writing the other. The contracts of receive and
-    settle say so.
+    The union of a round's estimates and sums is an exception. The machine stores both, as if it were a
+    structure: by the robot's filter a call uses one of them, and it never reads the one after writing the
+    other. The contracts of receive and settle say so.
     """
     members: list[Any] = type_.decls
     has_sums = any(member.name == "sums" for member in members)

@@ -29,7 +29,10 @@ VOTES_MAX = 2**9
 
 
 product, upper_product = partial(result_of, "multiply", 64), partial(result_of, "multiply_high", 32)
-"""Any functions of two words in place of their products, as the code calls them."""
+"""Results of multiply() and multiply_high() for two words.
+
+In the proofs here both may be any functions: a claim holds whatever they return.
+"""
 
 
 def is_robust(config: Any) -> Any:
@@ -206,7 +209,7 @@ def _slope_of_probability(b_hat: Any) -> Any:
 
 
 def _is_robust_test(rejects: Any, _robot_after: Any, robot: Any, share: Any, centre: Any, spread: Any) -> Any:
-    """Return that the code forms the section's test, of products that may be any."""
+    """Return that the code forms the section's test, whatever the products in it are."""
     b_hat, t = robot["robust"]["initial_b_hat"], robot["t"]
     p = upper_product(b_hat, centre) + upper_product(~b_hat, ~centre)
     deviation = z3.If(z3.UGT(share, p), share - p, p - share)
@@ -242,7 +245,10 @@ def _is_robust_robot(robot: dict[str, Any], *_arguments: Any) -> Any:
 
 
 def keeps_initial_b_hat(robot_after: dict[str, Any], robot: dict[str, Any], *_arguments: Any) -> Any:
-    """Return what the contracts of take_vote() and end_batch() say of a member that is needed after them."""
+    """Return that a call does not change the initial b_hat, which its caller needs after it.
+
+    The contracts of take_vote() and end_batch() say so, too.
+    """
     return robot_after["robust"]["initial_b_hat"] == robot["robust"]["initial_b_hat"]
 
 
@@ -251,7 +257,7 @@ def _is_batch_ended(robot_after: dict[str, Any], robot: dict[str, Any], share: A
     robust = robot["robust"]
     count, black_count = robot["t"] - robust["batch_t"], robot["n"] - robust["batch_n"]
     variance = product(count, _variance_of_observation(share))
-    # The largest ratio is 12 times the dispersion, and the largest square is the one that leads to it.
+    # The largest ratio is 12 times the dispersion. A batch with the largest square has this ratio.
     largest_ratio = _twelve_dispersions(robot)
     largest_square = _ratio_times_variance(largest_ratio, variance)
     square = minimum_of(_square_of_deviation(black_count, product(count, share)), largest_square)
@@ -271,7 +277,10 @@ def _is_batch_ended(robot_after: dict[str, Any], robot: dict[str, Any], share: A
 
 
 def _ratio_times_variance(ratio: Any, variance: Any) -> Any:
-    """Return the product in units of 2^-22, from 2^-40. It is formed of the two words of the variance."""
+    """Return the product of a ratio and a variance in units of 2^-22, rounded down.
+
+    The unit of the product is 2^-40 at first. It is formed of both words of the variance.
+    """
     upper_part = product(ratio, high_word(variance)) << 14
     return upper_part + z3.LShR(product(ratio, low_word(variance)), 18)
 
@@ -302,7 +311,7 @@ END_BATCH = Contract(
 
 ESTIMATE_COUNT = z3.BitVec("estimate_count", 32)
 SORTED_ESTIMATES = {index: z3.BitVec(f"sorted_estimate_{index}", 16) for index in range(SLOTS)}
-"""How many estimates sort_estimates() writes, and which: they may be any numbers."""
+"""The number of estimates that sort_estimates() writes, and the elements of its array: any numbers."""
 
 
 def _call_sort_estimates(machine: Machine, _robot: Any, sorted_estimates: Pointer) -> Number:
@@ -331,7 +340,7 @@ def may_run(robot: dict[str, Any]) -> Any:
 
 
 def _median_of_estimates() -> Any:
-    """Return the median of the sorted estimates, the mean of the middle one or two, in units of 2^-24."""
+    """Return the median of the sorted estimates in units of 2^-24: the middle one, or the mean of two."""
 
     def estimate_at(position: Any) -> Any:
         estimate = SORTED_ESTIMATES[0]
@@ -340,15 +349,15 @@ def _median_of_estimates() -> Any:
         return zero_extend(estimate, 32)
 
     sum_of_middle_two = estimate_at(z3.UDiv(ESTIMATE_COUNT - 1, 2)) + estimate_at(z3.UDiv(ESTIMATE_COUNT, 2))
-    # Shifted by 8, a unit of 2^-16 has the unit 2^-24; the mean of two takes one bit less.
+    # A shift by 8 would change the unit from 2^-16 to 2^-24. The mean is half of the sum: one bit less.
     return sum_of_middle_two << 7
 
 
 def _is_run_of_filter(b_hat: Any, robot_after: dict[str, Any], robot: dict[str, Any]) -> Any:
     """Return that a run gives the b_hat of section 13, and counts its test.
 
-    The functions that it calls are any functions of their arguments: the claim is that each gets the right
-    ones. Beside the counter, the run changes only what end_batch() does.
+    In this proof the called functions may return anything for their arguments: the claim is that each call
+    has the right arguments. Beside the counter of tests, the run changes only what end_batch() changes.
     """
     initial_b_hat, tests = robot["robust"]["initial_b_hat"], robot["counters"]["tests"]
     estimates = (SORTED_ESTIMATES, ESTIMATE_COUNT)

@@ -144,9 +144,9 @@ def test_a_function_with_a_mistake_has_no_proof_of_its_contract(mistake: Mistake
 def test_a_loop_with_a_mistake_is_not_taken_to_end(
     function: str, original_code: str, mistaken_code: str, tmp_path: Path
 ) -> None:
-    """It may have more turns than the comment beside it says, or its body may change what the loop counts.
+    """Each mistake gives a loop more turns than its comment states, or its body changes what its head uses.
 
-    Loops by ``do`` or ``goto`` are refused.
+    The last two make a loop by ``do`` or ``goto``, which are always refused.
     """
     code = parse_with_mistake(tmp_path, Mistake(function, original_code, mistaken_code))
 

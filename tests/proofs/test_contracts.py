@@ -125,17 +125,17 @@ FIRMWARE = (
     SOURCES / "mcp_asdf_robust.h",
     *(SOURCES / f"mcp_asdf_{part}.c" for part in ("image", "frame", "small")),
 )
-"""The firmware, but for the arithmetic, whose contracts say that its loops end."""
+"""The firmware without the arithmetic, whose loops end by the proofs of its contracts."""
 
 
 # design: R34
 @pytest.mark.parametrize("variants", [VARIANTS[:1], *slow([(VARIANTS,)])], ids=["first variant", "all"])
 @pytest.mark.parametrize("path", FIRMWARE, ids=lambda path: path.name)
 def test_every_loop_of_the_firmware_ends(path: Path, variants: tuple[Variant, ...]) -> None:
-    """It does within the turns that a comment beside it states: so no call hangs.
+    """Each loop ends within the turns that a comment beside it states: so no call hangs.
 
-    ``prove_loops_end`` raises UnprovenError if a loop of a function might go on. A function whose text is the
-    same in two variants is proved once.
+    ``prove_loops_end`` raises UnprovenError if a loop might have more. If a function has the same text in two
+    variants, one proof is enough.
     """
     proved_texts = set[str]()
     for variant in variants:
