@@ -129,7 +129,6 @@ class Accuracy:
 
 def square_of_ratio(g: int, p: int) -> int:
     """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
-    # divide_24 takes numbers of 31 bits. The ratio of the halves is the same.
     # divide_24 takes numbers of 31 bits. Halving both leaves their ratio, but for the lowest bits.
     half_of_g = g >> 1
     half_of_p = p >> 1
@@ -307,7 +306,7 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     if rarer <= errors:
         # The rarer colour has not come more often than errors explain.
         return 0, confidence_at_end(accuracy, t, rare_count)
-    # (p - c) and g, both multiplied by ``total``, and shifted until g has 31 or 32 bits.
+    # Both (p - c) and g are multiplied by ``total``, and shifted until g has 31 or 32 bits.
     excess_total = (rarer - errors) << accuracy.g_shift
     g_total = (total - 2 * errors) << accuracy.g_shift  # g is 1 - 2 c
     # divide_24 takes a divisor of at most 31 bits. With half of g the quotient is twice the estimate, so its
@@ -466,7 +465,7 @@ def are_valid_senders(s: State) -> bool:
 
 
 def next_count(count: int) -> int:
-    """Return a counter of events after one more event; it has 16 bits, so that 0 follows 2**16 - 1."""
+    """Return a counter of events after one more event. It has 16 bits, so that 0 follows 2**16 - 1."""
     return (count + 1) & COUNTER_MASK
 
 
@@ -640,7 +639,7 @@ class MirrorRobot(FixedPointView):
         s.accepted = next_count(s.accepted)
         has_confidence = alpha_units(alpha) > 0
         if not self.is_robust:
-            # It leaves out an estimate without confidence by itself.
+            # add_estimate leaves out an estimate without confidence by itself.
             add_estimate(s.open, x_hat, alpha)
         elif has_confidence:
             keep_estimate(s.robust, s.estimates, sender, x_hat)
@@ -809,8 +808,8 @@ class MirrorRobot(FixedPointView):
     def x_bar_raw(self) -> int:
         """Social estimate in units of 2**-23: the weighted mean x_hat of the last closed round's messages.
 
-        HALF if none of them has confidence. With the robust filter: the centre of the votes, or HALF before
-        the first.
+        It is HALF if none of them has confidence. With the robust filter it is the centre of the votes, or
+        HALF before the first one.
         """
         if self.is_robust:
             return self._centre_of_votes(HALF)
@@ -821,7 +820,7 @@ class MirrorRobot(FixedPointView):
     def x_raw(self) -> int:
         """Informed estimate, which combines the local and the social one, in units of 2**-23.
 
-        With the robust filter: the centre of the votes, or the local estimate before the first.
+        With the robust filter it is the centre of the votes, or the local estimate before the first one.
         """
         if self.is_robust:
             return self._centre_of_votes(self.s.x_hat)
@@ -961,7 +960,10 @@ def _encode_state(config: Config, s: State) -> bytes:
 
 
 def _find_b_hat_error(image: bytes) -> str | None:
-    """Return what is wrong with b_hat in an image, or None. Other values of a state are computed from it."""
+    """Return what is wrong with b_hat in an image, or None.
+
+    It is checked before a state is made of the image, because other values are computed from it then.
+    """
     _first_word, b_hat, *_first_members = _BEGINNING.unpack_from(image)
     is_in_range = B_HAT_MIN <= b_hat <= B_HAT_MAX
     return None if is_in_range else f"b_hat = {b_hat} is out of range"
@@ -986,7 +988,7 @@ def _decode_state(config: Config, image: bytes) -> State:
 
 
 def _unpack_parts(image: bytes, *formats: struct.Struct) -> list[tuple[int, ...]]:
-    """Return the numbers of the parts that follow each other from the begin of an image, by their formats."""
+    """Return the numbers in each part of an image. The parts have these formats, one behind the other."""
     parts = []
     position = 0
     for part_format in formats:
@@ -996,10 +998,10 @@ def _unpack_parts(image: bytes, *formats: struct.Struct) -> list[tuple[int, ...]
 
 
 def _set_memory_of_filter(s: State, config: Config, numbers: Sequence[int]) -> None:
-    """Set what only the filter of ``config`` remembers to the numbers that an image has for it.
+    """Set the members of a state that depend on the filter to the numbers that an image has for them.
 
-    These are the robust filter's own and the estimate in each slot. With another filter, or none, they are
-    the sums of the closed round and of the open one.
+    With the robust filter the members are ``robust`` and ``estimates``. With another filter, or none, they
+    are ``closed`` and ``open``, the sums of two rounds.
     """
     if config.filter == Filter.ROBUST:
         s.robust = RobustFilter(*numbers[:-SLOTS])

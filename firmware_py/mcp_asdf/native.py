@@ -298,7 +298,7 @@ def _numbers_in_struct(c_struct: Any, prefix: str = "") -> dict[str, int]:
     """Return the numbers in a C struct, each by the name of its member after ``prefix``.
 
     The name of a nested struct becomes a prefix, as in ``open_alpha``, but the name ``counters`` does not.
-    Pointers and unions are left out: what a union means only its owner knows.
+    Pointers and unions are left out: a union does not say which of its members is in use.
     """
     numbers: dict[str, int] = {}
     for name, field in ffi.typeof(c_struct).fields:

@@ -212,7 +212,7 @@ def take_vote(robust: RobustFilter, estimates: Sequence[int], x_hat: int, alpha:
 def gain_shift_after(votes: int) -> int:
     """Return the shift that multiplies by the gain of a vote: 3 up to 63 votes, 4 up to 127, and so on.
 
-    ``votes``, with this one, is at most VOTES_MAX, for which the shift is 7.
+    ``votes`` includes this vote, and is at most VOTES_MAX, for which the shift is 7.
     """
     # 32 to 63 are the numbers of 6 bits, and each doubling takes one bit more. Fewer votes count as 32.
     return max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3

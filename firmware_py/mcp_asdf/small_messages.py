@@ -68,7 +68,7 @@ def _long_code(units: int) -> int:
         return units
     if exponent > _EXPONENT_MAX:
         return (1 << MAX_ALPHA_BITS) - 1
-    # A number with exponent 1 has 21 bits itself, and each further doubling one more.
+    # A number with exponent 1 has 21 bits, and one bit more for each higher exponent.
     significand = units >> (exponent - 1)  # 21 bits
     fraction = significand - _FRACTIONS  # without the highest bit, which is always set and not stored
     return exponent * _FRACTIONS + fraction  # _FRACTIONS is 2**20
