@@ -301,7 +301,8 @@ static void configurations_have_the_filter_that_their_name_says(void)
     CHECK(robust.filter_period == 1000 && robust.memory == MCP_ASDF_MEMORY_MAX);
 }
 
-/* The tests of most values come last: most mistakes fail another one, and tests/mutation plants many. */
+/* The tests that try the most values come last: of the many mistakes that tests/mutation plants, most fail a
+ * quicker test before. */
 int main(void)
 {
     beta_is_the_sum_of_alpha_in_the_closed_round();

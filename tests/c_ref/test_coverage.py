@@ -55,8 +55,8 @@ class Coverage:
         name = function["name"].replace(";", ":").rpartition(":")[2]
         path = function["filenames"][0]
         for branch in function["branches"]:
-            *span, true_count, false_count = branch[:6]
-            self._add_outcomes((name, path, span_of(span)), true_count, false_count)
+            true_count, false_count = branch[4:6]
+            self._add_outcomes((name, path, span_of(branch)), true_count, false_count)
         for record in function["mcdc_records"]:
             *_, effects = record
             self._add_effects((name, path, span_of(record)), effects)
@@ -67,7 +67,7 @@ class Coverage:
         self.outcome_counts[place] = (earlier_true + true_count, earlier_false + false_count)
 
     def _add_effects(self, place: Place, effects: list[bool]) -> None:
-        """Add whether each condition of the decision at a place has changed its result in one program."""
+        """Add which conditions of the decision at a place have changed its result in one program."""
         earlier_effects = self.effects.get(place, [False] * len(effects))
         self.effects[place] = [a or b for a, b in zip(earlier_effects, effects, strict=True)]
 

@@ -115,9 +115,9 @@ def unexecuted_lines(folder: Path) -> set[str]:
 
 
 def count_executions(path: Path, lines: list[dict[str, Any]]) -> dict[str, int]:
-    """Return how often gcov counts each line of a file, or its rarest branch, by "file: text of the line".
+    """Return how often each line of a file, or its rarest branch, was executed, by "file: text of the line".
 
-    Of lines with the same text the last one counts.
+    ``lines`` is gcov's report. If lines have the same text, the last one counts.
     """
     source_lines = path.read_text(encoding="utf-8").splitlines()
     counts = {}

@@ -8,8 +8,8 @@ Scenarios are the cross-check's random ones, which are heavy with edges; the dig
 
 A file is little-endian: the word MAGIC, how many scenarios follow (2 bytes), and these. A scenario is its
 digest (4), filter, kind of table and id (1 each), filter_period, memory and b_hat (4 each), calls, and a 0. A
-call is a code and its numbers; ``restore`` has how many blocks of the image it replaces (1), and of each
-where it begins (1), its size (1) and its bytes.
+call is a code and its numbers. A ``restore`` has the number of blocks that it replaces in the image (1), and
+these: a block is the index of its first byte (1), its size (1) and its bytes.
 
 A digest covers the status of the making, of every call, and of the end (twice the messages accepted, and 1 if
 the invariants hold). After each of these but ``receive`` it covers x, x_bar, the saved image and what b_hat
@@ -140,7 +140,7 @@ def played(name: str) -> list[tuple[Scenario, bytes]]:
 
 
 def _size_of(scenario: Scenario) -> int:
-    """Return the bytes of a scenario in a file: its head, its calls and a 0."""
+    """Return how many bytes a scenario takes in a file: those of its head, of its calls and a 0."""
     return _SCENARIO.size + len(_encode_calls(scenario)) + 1
 
 
@@ -176,9 +176,10 @@ def _encode_calls(scenario: Scenario) -> bytes:
 
 
 def _encode_new_numbers(restore: Call, filter_number: int) -> bytes:
-    """Return the numbers that a ``restore`` replaces in the image of a robot with this filter, as blocks.
+    """Return the numbers of a ``restore`` as a file has them: as blocks of the image that it replaces.
 
-    Numbers that follow each other in the image are one block: so there is room for more scenarios.
+    Numbers that follow each other in the image, which is of a robot with this filter, are one block: so a
+    file has room for more scenarios.
     """
     places = places_of_numbers(filter_number)
     new_bytes: dict[int, int] = {}  # by their index in the image

@@ -172,9 +172,9 @@ def play(build: ImageBuild, folder: Path, *files: Path) -> str:
 
 
 def run_image(folder: Path) -> str:
-    """Run the image that was built in a folder, as its only test, and return what it prints.
+    """Run the image that was built in a folder, and return what it prints. If it fails, a last line says so.
 
-    If it fails, a last line says so.
+    For ctest the image is the only test of the folder.
     """
     command = ["ctest", "--test-dir", str(folder), "--verbose"]
     result = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)

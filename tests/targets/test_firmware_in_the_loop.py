@@ -252,7 +252,7 @@ def talk_to(command: list[str], pieces: list[bytes], lengths_of_answers: list[in
 
 
 def exchange(robot: subprocess.Popen[bytes], piece: bytes, length_of_answer: int) -> bytes:
-    """Send a piece to a program, and return its answer, which is shorter if the program ends."""
+    """Send a piece to a program, and return its answer, which is shorter if the program ends first."""
     assert robot.stdin and robot.stdout
     robot.stdin.write(piece)
     robot.stdin.flush()

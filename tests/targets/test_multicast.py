@@ -65,17 +65,17 @@ def interface(address: str) -> str:
 
 
 Arrival = tuple[can.Message | None, bytes]
-"""A datagram that arrives, with its frame, or None if it has no frame of classic CAN."""
+"""The frame of classic CAN in a datagram that arrives, or None if it has none, and the datagram."""
 
 
 def arrival_of(frame: can.Message) -> Arrival:
-    """Return the datagram that python-can packs of a frame."""
+    """Return the arrival of a frame, in the datagram that python-can makes of it."""
     is_classic = not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame)
     return frame if is_classic else None, pack_message(frame)
 
 
 def datagrams_on_wifi(frames: list[can.Message], rng: random.Random) -> list[Arrival]:
-    """Return datagrams as they arrive: some are lost, some come twice or late, and some are garbage."""
+    """Return the arrivals of some frames: some are lost, some come twice or late. Others are garbage."""
     arrivals: list[Arrival] = []
     for frame in frames:
         arrival = arrival_of(frame)
@@ -105,7 +105,7 @@ def exchange(
 ) -> tuple[list[can.Message], list[can.Message]]:
     """Send datagrams to the C node in a group, and their frames to its twin in Python.
 
-    Returns what the C node has answered, and what the twin has, each with its first heartbeat.
+    Returns the answers of the C node and those of the twin. The first answer is a heartbeat.
     """
     answers: list[can.Message] = []
     expected_answers = list(twin.start())
@@ -137,7 +137,7 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     """
     rng = random.Random(address)
     arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
-    arrivals += map(arrival_of, commands_that_are_answered())  # after all datagrams have been handled
+    arrivals += map(arrival_of, commands_that_are_answered())  # these answers are the last ones
     twin = make_twin()
     command = node_command(kind, tmp_path_factory)
     with joined(address) as group, CNode(command, interface(address), ID, *OPTIONS) as node:

@@ -252,7 +252,7 @@ def command_frame(tick: int, target: int, action: Action, subjects: Subjects = S
 
 
 def commands_that_are_answered() -> list[can.Message]:
-    """Return two commands that begin and end a tick, whatever tick of ``any_frame`` is open."""
+    """Return two commands that begin and end a tick, even if a tick of ``any_frame`` has not ended."""
     other_tick = 7
     return [command_frame(other_tick, ID, action) for action in (Action.OBSERVE_BLACK, Action.SETTLE)]
 
@@ -270,7 +270,7 @@ def any_frame(rng: random.Random, robot_id: int = ID, subjects: Subjects = SUBJE
 
 
 def draw_estimate(rng: random.Random, robot_id: int, subjects: Subjects) -> can.Message:
-    """Return an estimate of robots 0 to 6, or of one with the receiver's own id; its alpha may be illegal."""
+    """Return an estimate from robot 0 to 6, or under the receiver's own id. Its alpha may be illegal."""
     sender = rng.choice((robot_id, *range(7)))
     alpha = rng.choice((0, 0xFF, rng.getrandbits(32)))
     x_hat = rng.randrange(2**23 + 1)

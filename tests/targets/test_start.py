@@ -25,7 +25,7 @@ OTHER_BYTE = b"\xa5"
 MAX_INSTRUCTIONS = 100_000
 REGISTERS_OF_ARM = (unicorn.arm_const.UC_ARM_REG_SP, unicorn.arm_const.UC_ARM_REG_PC)
 REGISTERS_OF_RISCV = (unicorn.riscv_const.UC_RISCV_REG_SP, unicorn.riscv_const.UC_RISCV_REG_PC)
-"""Unicorn's numbers of the stack pointer and the program counter."""
+"""The stack pointer and the program counter, by Unicorn's numbers."""
 
 PROGRAM = """
 unsigned char first_byte = 1; /* so that the words behind it need not be at the start of .data */

@@ -12,7 +12,7 @@ from can.interfaces.socketcan.socketcan import build_can_frame, dissect_can_fram
 from support import PATIENCE
 
 PACKET_ROOM = 128
-"""Bytes, more than any frame has."""
+"""The number of bytes that are read of a packet at most: more than any frame has."""
 
 
 def unpack_frame(packet: bytes) -> can.Message:

@@ -306,9 +306,9 @@ static void run_tick(run_t *run)
     }
 }
 
-/* Returns when the first timer that the node waits for expires: for the next tick, for an attempt to open a
- * closed bus again, or in lockstep before the first tick for the next heartbeat. Returns INT64_MAX if it
- * waits for none: in lockstep a frame begins the next tick. */
+/* Returns the time of what the node has to do next without a packet: the next tick, an attempt to open a
+ * closed bus again, or in lockstep before the first tick the next heartbeat. Returns INT64_MAX if there is
+ * nothing: in lockstep a frame begins the next tick. */
 static int64_t next_wake_time(const run_t *run)
 {
     const bool is_bus_open = run->bus.fd >= 0;
@@ -324,7 +324,7 @@ static int64_t next_wake_time(const run_t *run)
     return wake_time;
 }
 
-/* Sleep until a packet arrives, a signal comes, or a timer expires that the node waits for. */
+/* Sleep until a packet arrives, a signal comes, or it is the time of next_wake_time(). */
 static void wait_for_event(run_t *run)
 {
     struct pollfd bus = {.fd = run->bus.fd, .events = POLLIN}; /* ppoll() ignores a negative fd */

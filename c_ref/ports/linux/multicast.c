@@ -19,8 +19,8 @@ typedef union {
     struct sockaddr_storage storage;
 } address_t;
 
-/* Read a port, 1 to 65535, from a text that has nothing else. Returns false if the text is no such number;
- * *port is then of no use. */
+/* Read a port, 1 to 65535, from a text that is nothing but its number. Returns false if the text is something
+ * else; *port is then of no use. */
 static bool parse_port(uint16_t *port, const char *text)
 {
     char *end = NULL;

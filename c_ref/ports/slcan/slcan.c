@@ -111,10 +111,9 @@ static uint8_t flags_of_kind(char kind)
     return flags;
 }
 
-/* Convert the header of a line of `length` characters, and write it to the flags, the id and the length of
- * *frame: a letter for the kind, the id in 3 or 8 hexadecimal digits, and a digit for the number of bytes.
- * Returns the number of characters of the header; 0 if the line does not begin with one, and *frame is then
- * of no use. */
+/* Convert the header of a line of `length` characters to the flags, the id and the length of *frame. A header
+ * is a letter for the kind, the id in 3 or 8 hexadecimal digits, and a digit for the number of bytes. Returns
+ * how many characters it has, or 0 if the line does not begin with one; *frame is then of no use. */
 static uint8_t parse_header(mcp_asdf_frame_t *frame, const char *line, uint8_t length)
 {
     if (length == 0) {
