@@ -187,7 +187,7 @@ def test_a_round_has_one_vote_however_many_neighbours_were_received(firmware: Fi
 
 
 def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
-    """Let so many rounds end, and return who voted in each: the number of a slot, or "own estimate".
+    """Let so many rounds end, and return the voter of every round: the number of a slot, or "own estimate".
 
     After the vote of slot i it is the turn of slot i + 1, and after the robot's own vote that of slot 0.
     """

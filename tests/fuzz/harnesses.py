@@ -35,7 +35,7 @@ class Harness:
 
     @property
     def corpus(self) -> Path:
-        """Its inputs, each a line of hexadecimal digits."""
+        """The file of the harness's inputs. An input is a line of hexadecimal digits."""
         return HERE / f"corpus/{self.name}.txt"
 
     def unpack(self, folder: Path) -> Path:

@@ -72,7 +72,7 @@ def returns_code_of_first(status: Any, *cases: tuple[Any, int]) -> Any:
 
 
 def _may_observe(robot: Any, _z: Any) -> Any:
-    """Return I2, and what init admits."""
+    """Return that the robot fulfils property I2, and has a memory that init admits."""
     memory = robot["config"]["memory"]
     is_allowed = (z3.UGE(memory, 64), z3.ULE(memory, 2**31), z3.Extract(1, 0, memory) == 0)
     return z3.And(*is_allowed, z3.ULE(robot["n"], robot["t"]), z3.ULT(robot["t"], memory))

@@ -611,9 +611,10 @@ class Machine:
 def all_paths(
     make_machine: Callable[[tuple[bool, ...]], Machine], run: Callable[[Machine], Any]
 ) -> Iterator[tuple[Machine, Any]]:
-    """Execute ``run`` on every path, and yield the machine of each path with its result, None if it ended.
+    """Execute ``run`` on every path, and yield the machine of each path with its result.
 
-    ``make_machine`` takes the decisions that lead to a path.
+    The result is None for a path that PathEndsError has ended. ``make_machine`` takes the decisions that lead
+    to a path.
     """
     waiting_paths: list[tuple[bool, ...]] = [()]
     while waiting_paths:
@@ -637,7 +638,7 @@ def terms_of(value: Any) -> Any:
 
 
 def copy_value(value: Any) -> Any:
-    """Return a copy of a value; what its pointers point to is the same."""
+    """Return a copy of a value. Pointers in it point to the same place as those in the value."""
     if isinstance(value, dict):
         return {name: copy_value(member) for name, member in value.items()}
     return value

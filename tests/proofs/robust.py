@@ -98,9 +98,9 @@ def _may_count_vote(statistics: dict[str, Any], x_hat: Any) -> Any:
 
 
 def _are_statistics_after_vote(after: dict[str, Any], before: dict[str, Any], x_hat: Any) -> list[Any]:
-    """Return the section's formulas for a vote, each by itself.
+    """Return the claims about a vote: its results follow the section's formulas, and are in their ranges.
 
-    The ranges hold again, and the new centre is between the old one and the vote.
+    The new centre is between the old one and the vote.
     """
     # The vote is in units of 2^-30, and x_hat in units of 2^-23.
     centre, spread, vote = before["centre"], before["spread"], x_hat << 7
@@ -134,7 +134,10 @@ def may_vote(robot: dict[str, Any]) -> Any:
 
 
 def _is_vote(robot_after: dict[str, Any], robot: dict[str, Any]) -> Any:
-    """Return that the next slot's estimate is counted, or the robot's own; without a filled slot nothing."""
+    """Return that a vote counts the next slot's estimate, or the robot's own.
+
+    Without a filled slot nothing changes.
+    """
     robust = robot["robust"]
     has_confidence = z3.If(z3.LShR(robot["alpha"], 8) != 0, z3.BitVecVal(1, 1), z3.BitVecVal(0, 1))
     # 32 stands for the robot's own estimate.

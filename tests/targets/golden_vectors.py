@@ -122,9 +122,9 @@ class Player:
 
 @cache
 def played(name: str) -> list[tuple[Scenario, bytes]]:
-    """Return the scenarios of a file, each with its bytes there.
+    """Return the scenarios of a file with the bytes that encode them there.
 
-    They are drawn in turn; one is left out if an image lacks its table, or if the file has no room for it.
+    They are drawn in turn. A scenario is left out if an image lacks its table, or if the file has no room.
     """
     draw_scenario, seed, tried_count, max_bytes = FILES[name]
     chosen: list[tuple[Scenario, bytes]] = []

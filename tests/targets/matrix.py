@@ -115,7 +115,10 @@ class ImageBuild:
             require("ld.lld", "clang lld")
 
     def images(self) -> list[list[str]]:
-        """Return the files that each of its images plays; an ATmega328P's flash holds one small file."""
+        """Return a list for each of its images: the names of the files that the image plays.
+
+        An ATmega328P's flash holds one small file.
+        """
         if self.target == AVR:
             return [[name] for name in self.files if name != "golden_many.bin"]
         return [list(self.files)]

@@ -154,7 +154,7 @@ class BothNodes:
 
 @pytest.fixture
 def make_both_nodes(start_node: StartNode, bus: UnixBus) -> Callable[[Filter], BothNodes]:
-    """A function that starts both with a filter, and with settings under which everything happens soon."""
+    """A function that starts both nodes with a filter, and with settings that let everything happen soon."""
 
     def make(firmware_filter: Filter) -> BothNodes:
         options = "--lockstep --steps-per-second 3 --b-hat 0.75 --allow 0+2-5 --memory 64 --receive-buffer 0"
