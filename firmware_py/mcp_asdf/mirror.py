@@ -130,13 +130,10 @@ class Accuracy:
 def square_of_ratio(g: int, p: int) -> int:
     """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
     # divide_24 takes numbers of 31 bits. Halving both leaves their ratio, but for the lowest bits.
-    half_of_g = g >> 1
-    half_of_p = p >> 1
-    ratio_q24 = divide_24(half_of_g, half_of_p)
+    ratio_q24 = divide_24(g >> 1, p >> 1)
     ratio_q31 = ratio_q24 << 7  # the same ratio in units of 2**-31
     # The whole square has the unit 2**-62, 2**-31 squared. Its upper word has a unit 2**32 times as large.
-    square_q30 = multiply_high(ratio_q31, ratio_q31)
-    return square_q30
+    return multiply_high(ratio_q31, ratio_q31)
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
@@ -253,12 +250,10 @@ def confidence_inside(
     upper_numerator, numerator_exponent = upper_bits(numerator, 31)
     upper_denominator, denominator_exponent = upper_bits(denominator, 31)
     quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha
-    # The exponent of the quotient makes up for the 64 bits that the numerator has lost, and for the shifts.
-    numerator_shift = 2 * accuracy.g_shift + 3 * count_shift  # of g squared and of three counts
-    denominator_shift = 2 * count_shift  # of two counts
-    exponent = numerator_exponent - denominator_exponent
-    exponent += 64 - numerator_shift + denominator_shift
-    return confidence_of(quotient, exponent)
+    # The exponent makes up for the 64 bits that the numerator has lost, and for the shifts: the numerator has
+    # g twice and a count three times, and the denominator has a count twice.
+    lost_bits = 64 - 2 * accuracy.g_shift - count_shift
+    return confidence_of(quotient, numerator_exponent - denominator_exponent + lost_bits)
 
 
 def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:

@@ -286,7 +286,7 @@ def largest_count(operations: Counts, name: str) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "limit"), [("step", 1100), ("step, robust", 10_000), ("receive, robust", 240)]
+    ("name", "limit"), [("step", 1050), ("step, robust", 10_000), ("receive, robust", 240)]
 )
 def test_calls_take_few_instructions(operations: Counts, name: str, limit: int) -> None:
     """The limits are a little above the largest counts of instructions today, so that slowness is noticed.
