@@ -105,8 +105,10 @@ def resample_rank_correlation(first: Sample, second: Sample) -> Resampled:
 
     It is 0 where a sample does not vary.
     """
-    indices = resample_indices(len(first))  # the same for both, so that pairs stay together
-    resamples = _spearman(first[indices], second[indices])
+    batch_count = 50  # to rank all resamples at once takes several arrays of RESAMPLES x trials float64
+    # Both samples have the same indices, so that pairs stay together.
+    batches = np.array_split(resample_indices(len(first)), batch_count)
+    resamples = np.concatenate([_spearman(first[indices], second[indices]) for indices in batches])
     # The sample itself is a single row.
     [value] = _spearman(first[np.newaxis], second[np.newaxis])
     return Resampled(float(value), resamples.astype(np.float32))
