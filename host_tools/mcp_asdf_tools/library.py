@@ -180,9 +180,9 @@ def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Tab
 @naming_extras()
 def experiments_in(table: pa.Table) -> list[Trials]:
     """Return the experiments of a table, each with its trials, in the order of their first rows. O(rows)."""
-    from mcp_asdf_tools.experiments import result_tables
+    from mcp_asdf_tools.experiments.result_files import stream_experiments
 
-    return result_tables.experiments_in(table)
+    return list(stream_experiments(table))
 
 
 @naming_extras()

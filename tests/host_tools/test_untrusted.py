@@ -32,7 +32,7 @@ from mcp_asdf_tools.experiments.authors_trials import read_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import SHIPPED_STUDIES, read_experiments
 from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
-from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metadata, trials_to_table
+from mcp_asdf_tools.experiments.result_tables import read_metadata, trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.events import EventsHeader
 from mcp_asdf_tools.recording.frame_logs import read_log
@@ -108,13 +108,13 @@ def valid_results_table() -> pa.Table:
 def read_results(path: Path) -> object:
     """Read all that commands need of results, and return the versions of the software.
 
-    The trials are read at once and as a stream, and must have the same scores.
+    The trials are read from a table of the whole file, and from the file experiment by experiment. They must
+    have the same scores.
     """
     table = read_table(path)
-    scores_at_once = [trials.scores() for trials in experiments_in(table)]
-    streamed_scores = [trials.scores() for trials in stream_experiments(path)]
-    assert len(scores_at_once) == len(streamed_scores)
-    for scores, scores_of_stream in zip(scores_at_once, streamed_scores, strict=True):
+    scores_of_table = [trials.scores() for trials in stream_experiments(table)]
+    scores_of_file = [trials.scores() for trials in stream_experiments(path)]
+    for scores, scores_of_stream in zip(scores_of_table, scores_of_file, strict=True):
         assert scores.keys() == scores_of_stream.keys()
         for name in scores:
             assert np.array_equal(scores[name], scores_of_stream[name]), name

@@ -581,11 +581,10 @@ def read_selected_experiments(args: argparse.Namespace) -> list[Trials]:
 
     Raises UsageError, with the existing values, for a condition on no parameter and one that nothing meets.
     """
-    from mcp_asdf_tools.experiments.result_files import read_table
-    from mcp_asdf_tools.experiments.result_tables import experiments_in
+    from mcp_asdf_tools.experiments.result_files import stream_experiments
     from mcp_asdf_tools.experiments.results import describe_differences, select_experiments
 
-    experiments = experiments_in(read_table(args.file))
+    experiments = list(stream_experiments(args.file))
     # One condition after the other, so that an error names the first that nothing meets.
     for condition in args.where:
         name, equals_sign, value = condition.partition("=")

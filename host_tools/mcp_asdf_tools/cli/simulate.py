@@ -54,8 +54,8 @@ def run(args: argparse.Namespace) -> int:
     options, for a file of several experiments, and if the results cannot be written.
     """
     from mcp_asdf_tools.cli.score_table import print_scores, summarize
-    from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metadata
-    from mcp_asdf_tools.library import simulate
+    from mcp_asdf_tools.experiments.result_tables import read_metadata
+    from mcp_asdf_tools.library import experiments_in, simulate
 
     experiments = options.experiments_of(args)
     if len(experiments) > 1:

@@ -32,7 +32,7 @@ from mcp_asdf_tools.experiments.plot_labels import (
     sorted_by_filter,
     varying_parameters,
 )
-from mcp_asdf_tools.experiments.result_tables import experiments_in
+from mcp_asdf_tools.experiments.result_files import stream_experiments
 from mcp_asdf_tools.experiments.results import Trials, select_experiments
 from mcp_asdf_tools.robots.filters import FILTERS
 
@@ -56,7 +56,7 @@ def experiments_to_plot(results: Results, where: Mapping[str, Any] | None) -> li
     ``results`` are a list of experiments with their trials, or a table whose rows are trials. Raises
     UsageError if no experiment is left.
     """
-    experiments = results if isinstance(results, Sequence) else experiments_in(results)
+    experiments = results if isinstance(results, Sequence) else list(stream_experiments(results))
     selected = select_experiments(experiments, where or {})
     if not selected:
         raise UsageError("there is no experiment to draw; give results of one or more")

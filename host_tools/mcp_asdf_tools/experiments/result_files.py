@@ -109,13 +109,14 @@ def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Tab
     return pa.concat_tables([row_group.read(columns) for row_group in RowGroups(Path(path))])
 
 
-def stream_experiments(path: Path) -> Iterator[Trials]:
-    """Yield the experiments of a file, or of all files in a folder, in the order of their first rows.
+def stream_experiments(source: Path | pa.Table) -> Iterator[Trials]:
+    """Yield the experiments of a table, of a file, or of all files in a folder, each with its trials.
 
-    Only one experiment at a time is in memory. Raises UsageError if a file cannot be read or has anything but
-    results in one of READABLE_FORMATS.
+    They are in the order of their first rows, and the trials in that of their numbers. Only one experiment of
+    a file at a time is in memory. Raises UsageError if a file cannot be read or has anything but results in
+    one of READABLE_FORMATS, and if lists have another length than they must have.
     """
-    row_groups = RowGroups(path)
+    row_groups = RowGroups(source)
     result_columns = [name for name in column_types() if name not in PARAMETER_NAMES]
     # Parameters, which say what rows an experiment has, are read first. All else, which is far more, is read
     # for one experiment at a time.
@@ -165,11 +166,12 @@ class RowGroups:
     def add(self, source: Path | pa.Table) -> None:
         """Append rows: those of a table, of a file, or of all Parquet files in a folder in name order.
 
+        A table is converted to the present format, since another program may have read it from an old file.
         Of files only what describes the rows is read here. Raises UsageError if a file cannot be read, or has
         anything but results in one of READABLE_FORMATS.
         """
         if isinstance(source, pa.Table):
-            self._append(len(source), partial(_select_columns, source))
+            self._append(len(source), partial(_select_columns, to_present_format(source)))
             return
         files_in_folder = sorted(source.glob("*.parquet"))
         # In a path that is itself a file, no files are found.

@@ -263,15 +263,6 @@ def _nest_records(values: NDArray[np.float64]) -> pa.Array:
     return pa.ListArray.from_arrays(trial_offsets, samples, type=_RECORD_OF_TRIAL)
 
 
-def experiments_in(table: pa.Table) -> list[Trials]:
-    """Return the trials in a table by experiment, in the order of the experiments' first rows. O(rows)."""
-    complete_table = to_present_format(table).combine_chunks()
-    return [
-        trials_from_rows(experiment, complete_table.take(rows))
-        for experiment, rows in rows_by_experiment(complete_table).items()
-    ]
-
-
 def rows_by_experiment(table: pa.Table) -> dict[Experiment, NDArray[np.int64]]:
     """Return the indices of the rows of each experiment, in the order of the experiments' first rows.
 
@@ -359,13 +350,19 @@ def _damage_error(problem: str) -> UsageError:
 def score_table(table: pa.Table, limits: Limits) -> pa.Table:
     """Return a table with its scores H, h_K and h_e computed anew with other limits K_max and e_max.
 
-    O(rows).
+    O(rows). Raises UsageError if a list in a row has not a value of each robot.
     """
     table = to_present_format(table)
-    rows = table.select([*PARAMETER_NAMES, "k", "e"]).to_pylist()
-    scores_by_row = [_score_row(row, limits) for row in rows]
-    for name in SCORES:
-        table = replace_column(table, name, [scores[name] for scores in scores_by_row])
+    lists = table.select(["k", "e"]).combine_chunks()  # rows are taken slowly from many chunks
+    scores_by_name = {name: np.empty(len(table)) for name in SCORES}
+    for experiment, rows in rows_by_experiment(table).items():
+        rows_of_experiment = lists.take(rows)
+        convergence_steps = _read_lists(rows_of_experiment, "k", (experiment.robots,))
+        errors = _read_lists(rows_of_experiment, "e", (experiment.robots,))
+        for name, scores in score(convergence_steps, errors, *limits.of(experiment)).items():
+            scores_by_name[name][rows] = scores
+    for name, scores in scores_by_name.items():
+        table = replace_column(table, name, scores)
     return table
 
 
@@ -373,11 +370,3 @@ def replace_column(table: pa.Table, name: str, values: Any) -> pa.Table:
     """Return a table with other values in the column of this name, converted to its type in results."""
     column = pa.array(values, column_types()[name])
     return table.set_column(table.column_names.index(name), name, column)
-
-
-def _score_row(row: dict[str, Any], limits: Limits) -> dict[str, float]:
-    """Return the scores H, h_K and h_e of the trial in a row, by their names."""
-    k_max, e_max = limits.of(Experiment.from_recording(row))
-    # The function takes and returns arrays with an entry of each trial; here there is a single one.
-    scores = score([row["k"]], [row["e"]], k_max, e_max)
-    return {name: float(score_by_trial[0]) for name, score_by_trial in scores.items()}

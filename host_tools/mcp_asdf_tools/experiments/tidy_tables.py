@@ -26,14 +26,13 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target
-from mcp_asdf_tools.experiments.result_files import RowGroups, collect_rows, write_tables
-from mcp_asdf_tools.experiments.result_tables import (
-    METADATA_KEY,
-    column_types,
-    describe_columns,
-    experiments_in,
-    to_present_format,
+from mcp_asdf_tools.experiments.result_files import (
+    RowGroups,
+    collect_rows,
+    stream_experiments,
+    write_tables,
 )
+from mcp_asdf_tools.experiments.result_tables import METADATA_KEY, column_types, describe_columns
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials, find_differences
 from mcp_asdf_tools.robots.population import Population
 
@@ -153,15 +152,13 @@ def stream_tidy_results(source: Path | pa.Table) -> Iterator[pa.Table]:
     memory. Raises UsageError if a file cannot be read or has anything but results, and, with the fix, if
     nothing was recorded.
     """
-    if isinstance(source, pa.Table):
-        source = to_present_format(source)  # another program may have read it
     row_groups = RowGroups(source)
     # The tables have a column for each parameter in which any experiments differ, so all parameters are read
     # before the first table.
     experiments = row_groups.rows_by_experiment()
     differing_names = list(find_differences(experiment.parameters() for experiment in experiments))
     for row_group in row_groups:
-        for trials in experiments_in(row_group.read(None)):  # with all columns
+        for trials in stream_experiments(row_group.read(None)):  # with all columns
             yield tidy_trials(trials, differing_names)
 
 

@@ -49,7 +49,8 @@ def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None
         raise UsageError(f"trial is {trial}; give 0 or more")
     if isinstance(results, Experiment):
         return NotebookPage(make_page(run_trial_history(results, trial)))
-    from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415 (pyarrow is slow)
+    from mcp_asdf_tools.experiments.result_files import stream_experiments  # noqa: PLC0415 (pyarrow is slow)
 
-    trials = single_experiment(select_experiments(experiments_in(results), where or {}))
+    experiments = list(stream_experiments(results))
+    trials = single_experiment(select_experiments(experiments, where or {}))
     return NotebookPage(make_page(recompute_trial_history(trials, trial)))

@@ -22,7 +22,8 @@ from mcp_asdf_tools.experiments.plots.bands import plot_bands
 from mcp_asdf_tools.experiments.plots.boxes import plot_boxes
 from mcp_asdf_tools.experiments.plots.curve import plot_curve
 from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
-from mcp_asdf_tools.experiments.result_tables import experiments_in, trials_to_table
+from mcp_asdf_tools.experiments.result_files import stream_experiments
+from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
 from support import slow
 
@@ -145,7 +146,7 @@ def test_a_table_of_results_keeps_experiments_apart_that_differ_in_one_parameter
     """The results of two such experiments are joined to one table, and read from it as two experiments."""
     first, second = run_two_that_differ_in(parameter)
     table = pa.concat_tables([trials_to_table(first), trials_to_table(second)])
-    first_from_table, second_from_table = experiments_in(table)
+    first_from_table, second_from_table = stream_experiments(table)
 
     assert first_from_table.experiment == first.experiment
     assert second_from_table.experiment == second.experiment

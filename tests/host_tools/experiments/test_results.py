@@ -22,7 +22,6 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import collect_rows, read_table, stream_experiments, write_tables
 from mcp_asdf_tools.experiments.result_tables import (
     PRESENT_FORMAT,
-    experiments_in,
     read_metadata,
     score_table,
     trials_to_table,
@@ -67,7 +66,7 @@ def results_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def experiments(results_path: Path) -> list[Trials]:
     """The two experiments of the file, with the trials 0 to 2 of each."""
-    return experiments_in(read_table(results_path))
+    return list(stream_experiments(results_path))
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +121,7 @@ def test_results_of_one_robot_without_recorded_values_are_read_from_their_file(p
     experiment = replace(SHORT_EXPERIMENT, robots=1)
     table = trials_to_table(run_trials(experiment, first=0, trials=1))
     write_tables(path, [table])
-    [trials] = experiments_in(read_table(path))
+    [trials] = stream_experiments(path)
 
     assert trials.experiment == experiment
     assert trials.records == {}
@@ -268,7 +267,7 @@ def test_a_single_experiment_is_chosen_and_has_no_parameters_that_differ(experim
 def test_results_from_before_a_parameter_existed_are_read_with_its_default(
     parameter: str, path: Path
 ) -> None:
-    """They have no column of this parameter. Files are read experiment by experiment, or at once."""
+    """They have no column of this parameter."""
     default = Experiment().parameters()[parameter]
     # The defaults of some parameters need as many robots as there are by default: 20, of which 6 are flawed.
     settings: dict[str, Any] = {"trials": 1, "robots": 20, "flawed": 6}
@@ -277,10 +276,7 @@ def test_results_from_before_a_parameter_existed_are_read_with_its_default(
     pq.write_table(table.drop_columns([parameter]), path)
 
     [trials] = stream_experiments(path)
-    [trials_read_at_once] = experiments_in(read_table(path))
-
     assert trials.experiment.parameters()[parameter] == default
-    assert trials_read_at_once.experiment == trials.experiment
 
 
 def test_results_from_before_a_parameter_existed_can_be_scored_again() -> None:
@@ -337,9 +333,9 @@ def test_results_in_the_earlier_format_5_are_read_as_a_table_of_the_present_form
 
 
 def test_results_in_the_earlier_format_5_may_be_read_by_another_program() -> None:
-    """It gives the table to ``experiments_in``. At step 20, each of 3 robots has observed 20 times, t."""
+    """It gives the table to ``stream_experiments``. At step 20, each of 3 robots has observed 20 times, t."""
     table_of_another_program = pq.read_table(FORMAT_5_FILE)
-    trials_of_3_robots, _trials_of_2_robots = experiments_in(table_of_another_program)
+    trials_of_3_robots, _trials_of_2_robots = stream_experiments(table_of_another_program)
     _t_in_first_trial, t_in_second_trial = trials_of_3_robots.records["t"].tolist()
     _t_at_step_0, _t_at_step_10, t_at_step_20 = t_in_second_trial
     assert t_at_step_20 == [20, 20, 20]

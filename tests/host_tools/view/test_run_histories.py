@@ -17,7 +17,8 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.authors_trials import read_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.result_tables import experiments_in, trials_to_table
+from mcp_asdf_tools.experiments.result_files import stream_experiments
+from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -78,7 +79,7 @@ def write_log(path: Path, **parameters: Any) -> Path:
 def run_experiment(**parameters: Any) -> Trials:
     """Run two trials of the same swarm, and return them as a table of results has them."""
     experiment = Experiment(**PARAMETERS | parameters, trials=2)
-    (trials,) = experiments_in(trials_to_table(run_trials(experiment, first=0, trials=2)))
+    (trials,) = stream_experiments(trials_to_table(run_trials(experiment, first=0, trials=2)))
     return trials
 
 
