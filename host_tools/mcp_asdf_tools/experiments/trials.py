@@ -30,12 +30,6 @@ from mcp_asdf_tools.world.world import SteppedWorld
 
 Floats = NDArray[np.float64]
 
-MAX_TRIALS_AT_ONCE = 8
-"""Trials of moving swarms, and of graphs, that the engine runs side by side."""
-
-MAX_SERIES_BYTES = 32 * 2**20
-"""Size of the series of x of the trials that run side by side, unless one trial has more."""
-
 
 def run_trials(experiment: Experiment, first: int, trials: int, sampling_interval: int = 0) -> Trials:
     """Run ``trials`` trials from number ``first`` on, recorded every ``sampling_interval`` steps (0: never).
@@ -43,40 +37,28 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     The C engine runs them, or if it lacks something that the experiment has, Python does, message by message.
     Raises UsageError if the firmware or an extension cannot be loaded, or if an arena has too little room.
     O(trials steps robots), robots squared in Python.
+
+    The engine keeps four bytes for each estimate of a robot until K and e are known. Long trials should run a
+    few at a time, as in the jobs of a sweep.
     """
     numbers = range(first, first + trials)
     if experiment.parameter_lacking_in_c:
         return _concatenate([_run_by_message(experiment, number, sampling_interval) for number in numbers])
-    if experiment.topology == "fully-connected":
-        # Most of these swarms have the same x in all robots, so that a trial has a single series.
-        return _run_native(experiment, numbers, sampling_interval)
-    # Elsewhere a trial has a series of x for each robot: a few trials at a time bound the memory.
-    batch_size = _trials_at_once(experiment)
-    batches = [numbers[start : start + batch_size] for start in range(0, trials, batch_size)]
-    return _concatenate([_run_native(experiment, batch, sampling_interval) for batch in batches])
+    return _run_native(experiment, numbers, sampling_interval)
 
 
-def _trials_at_once(experiment: Experiment) -> int:
-    """Return how many trials with a series of x for each robot may run at once, at least one."""
-    bytes_in_value = 4
-    bytes_of_trial = bytes_in_value * experiment.robots * (experiment.steps + 1)
-    trials_in_memory = max(1, MAX_SERIES_BYTES // bytes_of_trial)
-    return min(trials_in_memory, MAX_TRIALS_AT_ONCE)
-
-
-def _concatenate(batches: Sequence[Trials]) -> Trials:
-    """Return the trials of all batches of one experiment as one batch."""
+def _concatenate(all_trials: Sequence[Trials]) -> Trials:
+    """Return trials of one experiment, recorded equally often, as one object, in the order passed."""
     numbers: list[int] = []
-    for trials in batches:
+    for trials in all_trials:
         numbers += trials.numbers
     arrays: dict[str, Any] = {}
     for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
-        arrays[name] = np.concatenate([getattr(trials, name) for trials in batches])
+        arrays[name] = np.concatenate([getattr(trials, name) for trials in all_trials])
     records: dict[str, Floats] = {}
-    for quantity in batches[0].records:
-        records[quantity] = np.concatenate([trials.records[quantity] for trials in batches])
-    # Experiment and sampling interval are the same in all batches.
-    return replace(batches[0], numbers=numbers, records=records, **arrays)
+    for quantity in all_trials[0].records:
+        records[quantity] = np.concatenate([trials.records[quantity] for trials in all_trials])
+    return replace(all_trials[0], numbers=numbers, records=records, **arrays)
 
 
 def convergence_and_errors(
