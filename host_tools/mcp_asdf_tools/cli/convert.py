@@ -59,11 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.common.files import check_target
     from mcp_asdf_tools.common.progress_bar import progress
     from mcp_asdf_tools.experiments.authors_trials import find_trial_files
-    from mcp_asdf_tools.experiments.result_files import (
-        ROW_GROUP_BYTES,
-        collect_rows,
-        write_tables,
-    )
+    from mcp_asdf_tools.experiments.result_files import collect_rows, write_tables
     from mcp_asdf_tools.experiments.scores import PAPER_LIMITS
 
     # Path and options are checked before the trials are read, which may take long.
@@ -75,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     with progress("trials", len(files), args.json) as report_progress:
         tables = _read_tables(files, args.record, report_progress)
         # A row group for each trial would make the time to read them grow with the square of their number.
-        write_tables(args.output, collect_rows(tables, min_bytes=ROW_GROUP_BYTES))
+        write_tables(args.output, collect_rows(tables))
     report_scores(args.output, PAPER_LIMITS, args.json, output=str(args.output))
     return 0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -74,23 +73,20 @@ def write_tables(
     return row_count
 
 
-def collect_rows(
-    tables: Iterable[pa.Table], *, min_rows: float = math.inf, min_bytes: float = math.inf
-) -> Iterator[pa.Table]:
-    """Yield the rows of tables of the same columns in fewer, larger tables.
+def collect_rows(tables: Iterable[pa.Table]) -> Iterator[pa.Table]:
+    """Yield the rows of tables of the same columns in fewer, larger tables, of the size of a row group.
 
-    Each has at least ``min_rows`` rows or ``min_bytes`` bytes, but for the last.
+    Each has at least ROW_GROUP_BYTES, but for the last.
     """
     collected_tables: list[pa.Table] = []
-    row_count = byte_count = 0
+    byte_count = 0
     for table in tables:
         collected_tables.append(table)
-        row_count += len(table)
         byte_count += table.nbytes
-        if row_count >= min_rows or byte_count >= min_bytes:
+        if byte_count >= ROW_GROUP_BYTES:
             yield pa.concat_tables(collected_tables)
             collected_tables = []
-            row_count = byte_count = 0
+            byte_count = 0
     if collected_tables:
         yield pa.concat_tables(collected_tables)
 

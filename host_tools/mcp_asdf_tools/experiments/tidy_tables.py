@@ -39,10 +39,6 @@ from mcp_asdf_tools.robots.population import Population
 SUFFIXES = (".csv", ".parquet")
 """Suffixes of the files that a tidy table can be written to."""
 
-_MIN_ROWS_WRITTEN = 2**17
-"""Number of rows that are collected before they are written, unless they are the last. In Parquet they become
-a row group, of which a file should have few."""
-
 _TYPE_BY_COLUMN = {"trial": pa.int64(), "step": pa.int64(), "robot": pa.int32(), "is_flawed": pa.bool_()}
 """Types of the columns that are neither parameters nor QUANTITIES, which are doubles."""
 
@@ -189,7 +185,7 @@ def write_tidy_tables(path: Path, tables: Iterable[pa.Table]) -> int:
     """
     check_tidy_path(path)
     # The tables of experiments may have few rows each, and writing many small ones takes long.
-    larger_tables = collect_rows(tables, min_rows=_MIN_ROWS_WRITTEN)
+    larger_tables = collect_rows(tables)
     if path.suffix.lower() == ".csv":
         csv_tables = map(_replace_truth_by_number, larger_tables)
         return write_tables(path, csv_tables, open_writer=pyarrow.csv.CSVWriter)

@@ -18,6 +18,7 @@ import pytest
 from host_tools.test_untrusted import PARSERS, is_one_short_line, read_or_refuse, valid_results_table
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.experiments import result_files
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import collect_rows, read_table, stream_experiments, write_tables
 from mcp_asdf_tools.experiments.result_tables import (
@@ -140,10 +141,11 @@ def test_the_trials_of_an_experiment_may_be_spread_over_the_files_of_a_folder(tm
     assert trials_of_other_experiment.numbers == [1]
 
 
-def test_small_tables_are_joined_until_they_have_enough_bytes() -> None:
+def test_small_tables_are_joined_until_they_have_enough_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     """There are five tables of one row. Two have enough bytes, so the fifth is left over."""
     table_of_one_row = trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=1))
-    larger_tables = collect_rows([table_of_one_row] * 5, min_bytes=2 * table_of_one_row.nbytes)
+    monkeypatch.setattr(result_files, "ROW_GROUP_BYTES", 2 * table_of_one_row.nbytes)
+    larger_tables = collect_rows([table_of_one_row] * 5)
     assert [len(larger_table) for larger_table in larger_tables] == [2, 2, 1]
 
 
