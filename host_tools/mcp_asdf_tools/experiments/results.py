@@ -92,6 +92,14 @@ class Trials:
             "updates": self.updates.sum(axis=robot_axis),
         }
 
+    @property
+    def final_b_hat(self) -> NDArray[np.float64]:
+        """The robots' b_hat after the last filter step, shape (trials, N); NaN if there was none."""
+        trial_count, filter_step_count, robots = self.b_hat.shape
+        if filter_step_count == 0:
+            return np.full((trial_count, robots), np.nan)
+        return self.b_hat[:, -1]
+
     def find_harmed_robots(self) -> NDArray[np.bool_]:
         """Return which of the healthy robots their filter has harmed, shape (trials, healthy robots).
 
@@ -99,14 +107,11 @@ class Trials:
         b_hat after the last filter step. In trials that end before the first filter step no robot is. The
         first robots are the flawed ones, and all others start with the same b_hat.
         """
-        b_hat_of_healthy_robots = self.b_hat[:, :, self.experiment.flawed :]
-        trial_count, filter_step_count, healthy_robots = b_hat_of_healthy_robots.shape
-        if filter_step_count == 0:
-            return np.zeros((trial_count, healthy_robots), np.bool_)
-        final_b_hat = b_hat_of_healthy_robots[:, -1]
+        final_b_hat_of_healthy_robots = self.final_b_hat[:, self.experiment.flawed :]
         last_robot = self.experiment.robots - 1
         initial_b_hat = self.experiment.b_hat(last_robot)
-        return np.asarray(abs(final_b_hat - initial_b_hat) > HARM_LIMIT)
+        # Without a filter step the difference is NaN, and so above no limit.
+        return np.asarray(abs(final_b_hat_of_healthy_robots - initial_b_hat) > HARM_LIMIT)
 
 
 def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) -> list[Trials]:
@@ -231,20 +236,9 @@ def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
         **measures,
         "mean_K": measures["K"],
         "mean_e": measures["e"],
-        "mean_b_hat": _mean_final_b_hat(trials),
+        "mean_b_hat": trials.final_b_hat.mean(axis=robot_axis),
         "tests": trials.tests.sum(axis=robot_axis),
         # The same in all lines of an experiment, but any line can be read alone.
         "K_max": np.full(trial_count, k_max),
         "e_max": np.full(trial_count, e_max),
     }
-
-
-def _mean_final_b_hat(trials: Trials) -> NDArray[np.float64]:
-    """Return each trial's mean b_hat over the robots after the last filter step; NaN if there was none."""
-    trial_count, filter_step_count, _robots = trials.b_hat.shape
-    if filter_step_count == 0:
-        return np.full(trial_count, np.nan)
-    final_b_hat = trials.b_hat[:, -1]  # shape (trials, N)
-    robot_axis = 1
-    means: NDArray[np.float64] = final_b_hat.mean(axis=robot_axis)
-    return means

@@ -39,19 +39,14 @@ from mcp_asdf_tools.experiments.result_tables import (
 )
 from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
 
-_MAX_ROWS = 20_000
-"""Maximum number of rows in a part, and in a row group of the output. A row is a trial. They are fewer if
-the lists in them have more than ROW_GROUP_BYTES."""
-
 _SECONDS_BETWEEN_PARTS = 1.0
 """Shortest time from one part to the next; a process that is killed loses the results since the last part."""
 _SHARE_BETWEEN_PARTS = 0.01
 """Shortest time as a share of the time that the sweep has taken so far, if that is more. So a sweep of a day
 writes hundreds of parts, not tens of thousands."""
 
-_RECORDED_QUANTITIES = len(QUANTITIES)
 _BYTES_PER_VALUE = 8
-"""Size of a value in a list, that is at most of a double."""
+"""Size of a value in a row, that is at most of a double."""
 
 _ResultKey = tuple[Any, ...]
 """Values of the parameters that decide the results of a trial."""
@@ -97,9 +92,8 @@ class Store:
         self._output = output
         self.experiments = without_repetitions(experiments)
         self.sampling_interval = sampling_interval
-        # So few that the trials of any experiment fit a row group.
-        rows_that_fit = [self._rows_that_fit(experiment) for experiment in self.experiments]
-        self._rows_per_part = min([_MAX_ROWS, *rows_that_fit])
+        # So few that the trials of any experiment fit a part, and a row group of the output.
+        self._rows_per_part = min(map(self._rows_that_fit, self.experiments))
         self._row_groups = RowGroups()
         self._unwritten: list[pa.Table] = []
         self._unwritten_row_count = 0
@@ -112,14 +106,18 @@ class Store:
             self._open_files()
 
     def _rows_that_fit(self, experiment: Experiment) -> int:
-        """Return how many trials of an experiment fit ROW_GROUP_BYTES with their lists, at least 1."""
+        """Return how many rows, which are trials of an experiment, fit ROW_GROUP_BYTES, at least 1.
+
+        It follows from the parameters alone: the size of tables in memory differs a little by where their
+        rows come from, and the same results must always give the same file.
+        """
         filter_steps = experiment.steps // experiment.filter_period
         values_per_robot = 4 + filter_steps  # K, e, tests and updates, and b_hat after each filter step
         if self.sampling_interval:
             samples = 1 + experiment.steps // self.sampling_interval
-            values_per_robot += _RECORDED_QUANTITIES * samples
-        bytes_per_trial = _BYTES_PER_VALUE * experiment.robots * values_per_robot
-        return max(1, ROW_GROUP_BYTES // bytes_per_trial)
+            values_per_robot += len(QUANTITIES) * samples
+        values_per_row = len(PARAMETER_NAMES) + experiment.robots * values_per_robot
+        return max(1, ROW_GROUP_BYTES // (_BYTES_PER_VALUE * values_per_row))
 
     @property
     def output(self) -> Path:

@@ -139,6 +139,5 @@ def final_b_hat_of_healthy_robots(trials: Trials) -> Sample:
     b_hat is the accuracy that a robot assumes for its sensor.
     """
     first_healthy_robot = trials.experiment.flawed  # the robots before it are the flawed ones
-    final_b_hat = trials.b_hat[:, -1, first_healthy_robot:]  # shape (trials, healthy robots)
-    means: Sample = final_b_hat.mean(axis=1)
+    means: Sample = trials.final_b_hat[:, first_healthy_robot:].mean(axis=1)
     return means

@@ -299,6 +299,14 @@ def test_a_worker_process_that_is_killed_ends_the_sweep_with_an_error() -> None:
 # Parts of a sweep are files of the results so far, in a folder beside the output that there will be.
 
 
+def bytes_of_row(experiment: Experiment, sampling_interval: int = 0) -> int:
+    """Return how many bytes a row of results takes: eight for each parameter and each value of its lists."""
+    trials = Job(experiment, first=0, count=1, sampling_interval=sampling_interval).run()
+    (row,) = trials_to_table(trials).to_pylist()
+    values_of_lists = sum(np.size(values) for values in row.values() if isinstance(values, list))
+    return 8 * (len(experiment.parameters()) + values_of_lists)
+
+
 def row_count_of_each_part(folder: Path) -> list[int]:
     """Return the number of rows, which are trials, of each file of results in a folder of parts."""
     return [pq.read_metadata(path).num_rows for path in sorted(folder.glob("*.parquet"))]
@@ -368,7 +376,7 @@ def test_a_part_is_written_when_as_many_rows_wait_as_a_part_may_have(
 ) -> None:
     """This bounds the memory. The limit is set to 10 rows, and the time between parts to never."""
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
-    monkeypatch.setattr(store_module, "_MAX_ROWS", 10)
+    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 10 * bytes_of_row(EXPERIMENT))
     store = Store(output, [EXPERIMENT])
     store.add(Job(EXPERIMENT, first=0, count=9).run())
     assert row_count_of_each_part(store.parts) == []  # there is no part yet
@@ -385,7 +393,7 @@ def output_of_mixed_jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     output = tmp_path_factory.mktemp("mixed") / "grid.parquet"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(store_module, "_MAX_ROWS", 50)
+        patch.setattr(store_module, "ROW_GROUP_BYTES", 50 * bytes_of_row(EXPERIMENT))
         patch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 0.0)
         store = Store(output, TWO_EXPERIMENTS)
         for first_trial in (0, 10, 20, 30):
@@ -419,13 +427,6 @@ def test_the_output_has_as_many_rows_in_a_group_as_it_may(output_of_mixed_jobs: 
     assert [row_group.num_rows for row_group in row_groups] == [50, 30]
 
 
-def bytes_of_lists(experiment: Experiment, sampling_interval: int) -> int:
-    """Return how many bytes the lists of a trial take in a row of results: eight for each value."""
-    trials = Job(experiment, first=0, count=1, sampling_interval=sampling_interval).run()
-    (row,) = trials_to_table(trials).to_pylist()
-    return 8 * sum(np.size(values) for values in row.values() if isinstance(values, list))
-
-
 def test_a_part_has_fewer_rows_the_longer_their_lists_are(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -435,8 +436,7 @@ def test_a_part_has_fewer_rows_the_longer_their_lists_are(
     """
     experiment = replace(EXPERIMENT, steps=8000)
     long_experiment = replace(EXPERIMENT, steps=10_000_000)
-    bytes_of_row = bytes_of_lists(experiment, sampling_interval=400)
-    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * bytes_of_row)
+    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * bytes_of_row(experiment, 400))
 
     # Parts are written by rows, so the limit of bytes is converted when a store is made.
     assert Store(output, [experiment], sampling_interval=400)._rows_per_part == 1000
