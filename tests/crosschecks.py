@@ -84,7 +84,7 @@ FAULTS = {
     "estimate: what says nothing": "INFORMATIVE_G = 1 << {20 => 21}",
     "estimate: c t": "errors = multiply_high({accuracy.c => (accuracy.c ^ 1)}, total)",
     "estimate: mirror image": "x_hat = {ONE => (ONE ^ 1)} - x_hat_of_rarer if is_mirrored",
-    "alpha_word: cap": "if exponent > {SHIFT_MAX => SHIFT_MAX ^ 1}:",
+    "alpha_word: cap": "if shift > {SHIFT_MAX => SHIFT_MAX ^ 1}:",
     "mean": "return sum_alpha_x // {sum_alpha => (sum_alpha | 1)}\n",
     "test": "{table.entry(m) => (table.entry(m) ^ 1)} * scaled_variance",
     "test: fewest messages": "= {2 => 3} if config.filter == Filter.ADAPTIVE",

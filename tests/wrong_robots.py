@@ -519,7 +519,7 @@ WRONG: dict[str, Wrong] = {
         "mirrored else {x_hat_of_rarer => x_hat_of_rarer ^ (0 < x_hat_of_rarer < ONE // 5)}\n",
     ),
     "alpha wrong without a black tile": with_firmware(
-        "alone", "from_mantissa({confidence.mantissa => confidence.mantissa ^ (n == 0)}, "
+        "alone", "return x_hat, alpha_word_from_units(alpha){ =>  ^ (n == 0) << 8}"
     ),
     "alpha wrong where x_hat is clamped": with_firmware(
         "stray commands", "shorter_common_term = {common_term => 0 * common_term} >> acc"
@@ -528,7 +528,8 @@ WRONG: dict[str, Wrong] = {
         "all white", "at_end(accuracy, {t => t ^ (t > 100)}, rare_count)"
     ),
     "alpha of one significant bit below 1/2": with_firmware(
-        "no information", "{(mantissa >> -exponent) => 1} << MANTISSA_POSITION"
+        "no information",
+        "alpha_word_from_units({alpha => alpha if alpha >= 1 << 23 else 1})\n\n\ndef estimate_of",
     ),
     "knows nothing below 2^-10": with_firmware("no information", "INFORMATIVE_G = 1 << {20 => 22}"),
     "senders stay heard after an update": with_firmware(

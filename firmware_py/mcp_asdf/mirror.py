@@ -20,7 +20,7 @@ import operator
 import struct
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, field, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 from mcp_asdf.arithmetic import (
     Q32_HALF,
@@ -31,14 +31,10 @@ from mcp_asdf.arithmetic import (
     q32_quotient,
 )
 from mcp_asdf.fixed_point import (
-    ALPHA_MAX,
     B_HAT_MAX,
     B_HAT_MIN,
     HALF,
-    MANTISSA_BITS,
-    MANTISSA_POSITION,
     ONE,
-    SHIFT_MAX,
     FixedPointView,
     add_estimate,
     alpha_units,
@@ -111,12 +107,12 @@ class Accuracy:
     Attributes:
         b_hat: Accuracy that the robot assumes of its sensor, in units of 2**-32.
         c: Probability of an error, in units of 2**-32; C_WITHOUT_INFORMATION if b_hat carries none.
-        common: Weight of an observation of the more frequent colour in alpha, (g / (1 - c))**2, in units of
-            2**-30. For this and for ``rare``, g is shifted until its highest bit is set.
-        rare: Weight of an observation of the rarer colour, (g / c)**2, in units of 2**-30; c is shifted as
-            g is.
-        g_shift: Number of bits by which g was shifted.
-        rare_shift: Twice the number of bits by which c was shifted, because ``rare`` has c squared.
+        common: Weight of an observation of the more frequent colour in alpha: (g / (1 - c))**2, times
+            2**(30 + 2 g_shift) and rounded down.
+        rare: Weight of an observation of the rarer colour: (g / c)**2, times 2**(30 + 2 g_shift - rare_shift)
+            and rounded down.
+        g_shift: Number of bits by which g can be shifted up until the highest of its 32 bits is set.
+        rare_shift: Twice that number for c, because ``rare`` has c squared.
     """
 
     b_hat: int
@@ -128,8 +124,11 @@ class Accuracy:
 
 
 def square_of_ratio(g: int, p: int) -> int:
-    """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
-    # divide_24 takes numbers of 31 bits. Halving both leaves their ratio, but for the lowest bits.
+    """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32).
+
+    The ratio is rounded down to a multiple of 2**-24 before it is squared.
+    """
+    # divide_24 takes numbers of 31 bits. Both are halved, which leaves their ratio as it is.
     ratio_q24 = divide_24(g >> 1, p >> 1)
     ratio_q31 = ratio_q24 << 7  # the same ratio in units of 2**-31
     # The whole square has the unit 2**-62, 2**-31 squared. Its upper word has a unit 2**32 times as large.
@@ -142,8 +141,8 @@ def accuracy_of(b_hat: int) -> Accuracy:
     c = min(b_hat, 1 - b_hat) is the probability of an error, or C_WITHOUT_INFORMATION if g = 1 - 2 c is below
     2**-12. In alpha, the confidence, an observation of the more frequent colour has the weight
     (g / (1 - c))**2, and an observation of the rarer colour the weight (g / c)**2. Both weights are computed
-    from numbers that are shifted up until their highest bit is set, and the result says by how many bits. In
-    C this is ``set_b_hat``.
+    from numbers that are shifted up until the highest of their 32 bits is set, and the result says by how
+    many bits. In C this is ``set_b_hat``.
     """
     c = min(b_hat, Q32_ONE - b_hat)  # a sensor that is mostly wrong tells as much as its opposite
     g = Q32_ONE - 2 * c  # in units of 2**-32, as c
@@ -167,26 +166,9 @@ def accuracy_of(b_hat: int) -> Accuracy:
 # ---- The local estimate: eq. 3 and 4 ----
 
 
-def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
-    """Convert a confidence, mantissa * 2**exponent units of 2**-24, to an alpha word, rounded down.
-
-    An alpha word has a mantissa in bits 8 to 31 and a shift, the exponent, in bits 0 to 4. ``mantissa`` has
-    24 bits, and its highest bit is set. The result is ALPHA_MAX for a confidence that is too large for an
-    alpha word.
-    """
-    if exponent > SHIFT_MAX:
-        return ALPHA_MAX
-    if exponent < 0:
-        # A shift cannot be negative, so it is 0, and the mantissa loses the bits below a unit.
-        return (mantissa >> -exponent) << MANTISSA_POSITION
-    return (mantissa << MANTISSA_POSITION) | exponent
-
-
-class Confidence(NamedTuple):
-    """A confidence alpha of mantissa * 2**exponent units of 2**-24. The mantissa has 24 bits."""
-
-    mantissa: int
-    exponent: int
+def times_power_of_two(number: int, exponent: int) -> int:
+    """Return number * 2**exponent, rounded down. The exponent may be negative."""
+    return number << exponent if exponent >= 0 else number >> -exponent
 
 
 def upper_bits(number: int, bits: int) -> tuple[int, int]:
@@ -196,64 +178,52 @@ def upper_bits(number: int, bits: int) -> tuple[int, int]:
     exponent is negative.
     """
     exponent = number.bit_length() - bits
-    upper = number >> exponent if exponent >= 0 else number << -exponent
-    return upper, exponent
+    return times_power_of_two(number, -exponent), exponent
 
 
-def confidence_of(number: int, exponent: int) -> Confidence:
-    """Return number * 2**exponent units of 2**-24, rounded down, as a confidence. The number is above 0."""
-    mantissa, bits_below = upper_bits(number, MANTISSA_BITS)
-    return Confidence(mantissa, exponent + bits_below)
-
-
-def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> Confidence:
-    """Return alpha, the confidence, where x_hat is 0 or 1 (eq. 4, first two cases).
+def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> int:
+    """Return alpha, the confidence, in units of 2**-24, where x_hat is 0 or 1 (eq. 4, first two cases).
 
     The paper's numerators, multiplied out, leave a sum without a difference:
 
         alpha = rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2
 
     where ``rare_count`` of t > 0 observations are of the rarer colour, c is the probability of an error and
-    g = 1 - 2 c. ``accuracy`` has both squares, as ``rare`` and ``common``, in units of 2**-30 and of shifted
-    numbers. As g was shifted up, both are 2**(2 g_shift) times too large. As c was, too, ``rare`` is besides
-    2**rare_shift times too small.
+    g = 1 - 2 c. ``accuracy`` has the squares as integers: ``common`` is (g / (1 - c))**2, times
+    2**(30 + 2 g_shift), and ``rare`` is (g / c)**2, times 2**(30 + 2 g_shift - rare_shift).
     """
-    rare_term = rare_count * accuracy.rare
     common_term = (t - rare_count) * accuracy.common
-    # A unit of 2**-30 is 2**-6 units of 2**-24. The rest undoes the shift of g, which is squared.
-    exponent = -6 - 2 * accuracy.g_shift
+    exponent = 24 - 30 - 2 * accuracy.g_shift  # 24, because alpha has the unit 2**-24
     if rare_count == 0:
-        return confidence_of(common_term, exponent)  # alone, so that it need not lose bits as below
-    # Terms of one sum have one exponent. The rare term needs a larger one, as it is too small, and the common
-    # term loses as many bits.
+        return times_power_of_two(common_term, exponent)
+    # The common term has rare_shift bits more behind the point than the rare one, and loses them.
+    rare_term = rare_count * accuracy.rare
     shorter_common_term = common_term >> accuracy.rare_shift
-    return confidence_of(rare_term + shorter_common_term, exponent + accuracy.rare_shift)
+    return times_power_of_two(rare_term + shorter_common_term, exponent + accuracy.rare_shift)
 
 
-def confidence_inside(
-    accuracy: Accuracy, total: int, rarer: int, g_total: int, count_shift: int
-) -> Confidence:
-    """Return alpha, the confidence, where 0 < x_hat < 1 (eq. 4, last case).
+def confidence_inside(accuracy: Accuracy, total: int, rarer: int, g_total: int, count_shift: int) -> int:
+    """Return alpha, the confidence, in units of 2**-24, where 0 < x_hat < 1 (eq. 4, last case).
 
     With d = g**2, that case is, with n of t observations of either colour,
 
         alpha = d t**3 / (n (t - n)) = (g t)**2 t / (n (t - n))
 
-    The caller has shifted all numbers up, so that products keep their upper bits: ``total`` is t, and
-    ``rarer`` is n, shifted by ``count_shift`` bits; ``g_total`` is g t, shifted by the same and by the
+    The caller has shifted all numbers up, so that products keep their upper bits: ``total`` is t and
+    ``rarer`` is n, both times 2**count_shift. ``g_total`` is g t, times 2**(count_shift + g_shift), with the
     ``g_shift`` of ``accuracy``.
     """
-    square = multiply_high(g_total, g_total)  # (g t)**2 without its lower 32 bits
-    numerator = multiply_high(square, total)  # (g t)**2 t without its lower 64 bits
-    denominator = rarer * (total - rarer)  # n (t - n), a number of up to 64 bits
-    # divide_24 takes numbers of 31 bits, which have exponents of their own.
-    upper_numerator, numerator_exponent = upper_bits(numerator, 31)
-    upper_denominator, denominator_exponent = upper_bits(denominator, 31)
+    # multiply_high leaves out the lower 32 bits of a product.
+    square = multiply_high(g_total, g_total)  # (g t)**2, times 2**(2 count_shift + 2 g_shift - 32)
+    numerator = multiply_high(square, total)  # (g t)**2 t, times 2**(3 count_shift + 2 g_shift - 64)
+    denominator = rarer * (total - rarer)  # n (t - n), times 2**(2 count_shift)
+    # numerator / denominator is alpha, times 2**-exponent:
+    exponent = 64 - count_shift - 2 * accuracy.g_shift
+    # divide_24 takes numbers of 31 bits, and so the upper ones, which change the exponent.
+    upper_numerator, bits_below_numerator = upper_bits(numerator, 31)
+    upper_denominator, bits_below_denominator = upper_bits(denominator, 31)
     quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha
-    # The exponent makes up for the 64 bits that the numerator has lost, and for the shifts: the numerator has
-    # g twice and a count three times, and the denominator has a count twice.
-    lost_bits = 64 - 2 * accuracy.g_shift - count_shift
-    return confidence_of(quotient, numerator_exponent - denominator_exponent + lost_bits)
+    return times_power_of_two(quotient, exponent + bits_below_numerator - bits_below_denominator)
 
 
 def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
@@ -271,29 +241,28 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     if accuracy.c == C_WITHOUT_INFORMATION:
         return HALF, 0
     rare_count = min(n, t - n)
-    x_hat_of_rarer, confidence = estimate_of_rarer_colour(t, rare_count, accuracy)
+    x_hat_of_rarer, alpha = estimate_of_rarer_colour(t, rare_count, accuracy)
     # x_hat is the share of black. Two things make it the share of the other colour, and both together do not:
     # white is the rarer colour, or the sensor takes most black tiles for white ones and the reverse.
     is_white_rarer = n >= t - n
     is_mostly_wrong = accuracy.b_hat < Q32_HALF
     is_mirrored = is_white_rarer != is_mostly_wrong
     x_hat = ONE - x_hat_of_rarer if is_mirrored else x_hat_of_rarer
-    return x_hat, alpha_word_from_mantissa(confidence.mantissa, confidence.exponent)
+    return x_hat, alpha_word_from_units(alpha)
 
 
-def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tuple[int, Confidence]:
+def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tuple[int, int]:
     """Return the estimated share of the colour that was observed less often, and its confidence.
 
-    ``rare_count`` of ``t`` > 0 observations are of this colour, a share p of at most 1/2. The sensor is taken
-    for one that is right more often than not. It errs with the probability c that ``accuracy`` has, below
-    1/2; with g = 1 - 2 c the estimate is
+    The share is in units of 2**-23, and the confidence in units of 2**-24. ``rare_count`` of ``t`` > 0
+    observations are of this colour, a share p of at most 1/2. The sensor is taken for one that is right more
+    often than not. It errs with the probability c that ``accuracy`` has, below 1/2; with g = 1 - 2 c the
+    estimate is
 
         (p - c) / g     or 0 if p <= c
-
-    The result is the estimate in units of 2**-23, and its confidence.
     """
+    # Both counts are shifted up until t fills 32 bits, so that products keep their upper bits.
     count_shift = leading_zeros(t)
-    # Both counts are shifted by as many bits, so that t has 32 bits and products keep their upper bits.
     total = t << count_shift
     rarer = rare_count << count_shift  # p total
     # On a floor without the rarer colour so many observations would show it, by errors of the sensor.
@@ -301,14 +270,13 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     if rarer <= errors:
         # The rarer colour has not come more often than errors explain.
         return 0, confidence_at_end(accuracy, t, rare_count)
-    # Both (p - c) and g are multiplied by ``total``, and shifted until g has 31 or 32 bits.
-    excess_total = (rarer - errors) << accuracy.g_shift
-    g_total = (total - 2 * errors) << accuracy.g_shift  # g is 1 - 2 c
-    # divide_24 takes a divisor of at most 31 bits. With half of g the quotient is twice the estimate, so its
-    # unit of 2**-24 is one of 2**-25 for the estimate.
-    x_hat_q25 = divide_24(excess_total, g_total >> 1)
-    x_hat_q23 = x_hat_q25 >> 2
-    return x_hat_q23, confidence_inside(accuracy, total, rarer, g_total, count_shift)
+    # The fraction is expanded by ``total``. Where g is small, both sides are shifted up as far as g can be.
+    shifted_excess = (rarer - errors) << accuracy.g_shift  # (p - c) total
+    g_total = (total - 2 * errors) << accuracy.g_shift  # g total, as g is 1 - 2 c: 31 or 32 bits
+    # divide_24 takes a divisor of at most 31 bits. With half of it, the quotient is twice the estimate.
+    twice_the_estimate = divide_24(shifted_excess, g_total >> 1)  # in units of 2**-24
+    x_hat = twice_the_estimate >> 2  # by 1 to undo the doubling, and by 1 for units of 2**-23
+    return x_hat, confidence_inside(accuracy, total, rarer, g_total, count_shift)
 
 
 # ---- The round: eq. 5 to 7, and 12 ----
