@@ -115,7 +115,7 @@ FAULTS = {
         "            { => if s.filter_left > 1: }take_vote(s.robust, s.estimates"
     ),
     "vote: gain": "VOTES_OF_MAX_GAIN = {32 => 16}",
-    "vote: constant gain": "return {max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}",
+    "vote: constant gain": "return {votes_that_count.bit_length() - 3 => 3}",
     "vote: smallest gain 1/256": "VOTES_MAX = 1 << {9 => 10}",
     "vote: smallest gain 1/64": "VOTES_MAX = 1 << {9 => 8}",
     "vote: the first is the centre": (

@@ -630,7 +630,7 @@ WRONG: dict[str, Wrong] = {
         "threshold of few estimates", "variance = max({variance_of_observation(share) => 0},"
     ),
     "t of 14 bits in the test": with_robust_firmware(
-        "test of the least spread", "scaled_excess = q32_from_q64({t => t % (1 << 14)} * excess)"
+        "test of the least spread", "left_side = q32_from_q64({t => t % (1 << 14)} * excess)"
     ),
     "a centre is uninformative up to 2^-11": with_robust_firmware(
         "estimates of 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G << 1}:"

@@ -371,16 +371,16 @@ def is_valid_estimate(s: State) -> bool:
     If b_hat has not changed since (``s.updated`` is 0), both must be exactly what `estimate` returns, or 1/2
     and 0 before the first observation. If it has (``s.updated`` is 1), the b_hat from which they were
     computed is lost. Then there must be an observation, x_hat must be at most 1, and alpha must be a word in
-    the form in which robots compute it.
+    the form in which robots compute it: with the smallest shift. No other ``s.updated`` is possible.
     """
-    if s.updated:
-        # Several words stand for the same confidence. A robot computes the word with the smallest shift.
-        is_word_of_robot = s.alpha == alpha_word_from_units(alpha_units(s.alpha))
-        is_legal_flag = s.updated == 1  # a damaged image may have another number
-        return is_legal_flag and s.t > 0 and s.x_hat <= ONE and is_word_of_robot
-    # Before the first observation x_hat is 1/2, and has no confidence.
-    expected = estimate(s.t, s.n, s.accuracy) if s.t else (HALF, 0)
-    return (s.x_hat, s.alpha) == expected
+    if s.updated == 0:
+        # Before the first observation x_hat is 1/2, and has no confidence.
+        expected = estimate(s.t, s.n, s.accuracy) if s.t > 0 else (HALF, 0)
+        return (s.x_hat, s.alpha) == expected
+    # Several words stand for the same confidence. A robot computes the word with the smallest shift.
+    word_of_robot = alpha_word_from_units(alpha_units(s.alpha))
+    # A damaged image may have another flag than 0 and 1.
+    return s.updated == 1 and s.t > 0 and s.x_hat <= ONE and s.alpha == word_of_robot
 
 
 def is_valid_accuracy(accuracy: Accuracy) -> bool:
@@ -621,26 +621,27 @@ class MirrorRobot(FixedPointView):
     def settle(self) -> Status:
         """End the open round, and run the filter if ``filter_period`` rounds have passed.
 
-        The ended round becomes the closed one, and an empty round opens. From the sums of the closed round
-        follow x_bar, the mean of the neighbours' estimates, beta, the sum of their confidences, and x, the
-        robot's answer. With the robust filter no sums are kept: one of the estimates that the robot keeps, or
-        its own, becomes a vote, which moves x. Returns UPDATED if the filter has re-estimated b_hat, the
-        assumed accuracy, and OK otherwise.
+        The ended round becomes the closed one, and a round without messages opens. From the sums of the
+        closed round follow x_bar, the mean of the neighbours' estimates, beta, the sum of their
+        confidences, and x, the robot's answer. With the robust filter no sums are kept: one of the estimates
+        that the robot keeps, or its own, becomes a vote, which moves x. Returns UPDATED if the filter has
+        re-estimated b_hat, the assumed accuracy, and OK otherwise.
         """
         s = self.s
         is_updated = False
         if self.is_robust:
             take_vote(s.robust, s.estimates, s.x_hat, s.alpha)
         else:
+            # These sums, of alpha and (in two halves) of alpha x_hat, are all that x_bar, beta and x need.
             s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
         s.filter_left -= 1
         if s.filter_left == 0:
             s.filter_left = operator.index(self.config.filter_period)  # as Python's own int
-            # Before ``s.open`` is cleared: its sums of x_hat and x_hat**2, which ``s.closed`` does not have,
-            # are what the paper's test is computed from.
+            # Before ``s.open`` is cleared: the paper's test needs its sums of x_hat and x_hat**2, which
+            # ``s.closed`` does not have.
             is_updated = self._update_b_hat()
         s.open = Sums()
-        s.heard = [0, 0, 0, 0]  # bits by sender: nobody has been heard in the new round
+        s.heard = [0, 0, 0, 0]  # a bit for each id: no message has come in the new round
         return Status.UPDATED if is_updated else Status.OK
 
     def step(self, z: Observation) -> Status:
@@ -967,9 +968,10 @@ def _set_memory_of_filter(s: State, config: Config, numbers: Sequence[int]) -> N
     are ``closed`` and ``open``, the sums of two rounds.
     """
     if config.filter == Filter.ROBUST:
+        # The estimates in the slots come last.
         s.robust = RobustFilter(*numbers[:-SLOTS])
         s.estimates = list(numbers[-SLOTS:])
     else:
-        closed_sum_count = len(fields(Closed))
-        s.closed = Closed(*numbers[:closed_sum_count])
-        s.open = Sums(*numbers[closed_sum_count:])
+        # Three sums of the closed round come before those of the open one.
+        s.closed = Closed(*numbers[:3])
+        s.open = Sums(*numbers[3:])

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mcp_asdf.arithmetic import Q32_ONE, multiply_high, q32_quotient
-from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE, alpha_units
+from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, alpha_units
 from mcp_asdf.table import MAX_WORD
 
 # Constants by the names that they have in C; docs/internals/robust.md has the reasons.
@@ -33,6 +33,8 @@ TESTED_ESTIMATES_MIN = 5
 """Smallest number of estimates against which a robot tests itself: of five, two wrong ones are outvoted."""
 CENTRE_START = 1 << 29
 """Centre of the votes before the first one: 1/2."""
+CENTRE_MAX = 1 << 30
+"""Largest centre of the votes: 1."""
 SPREAD_MIN = 1 << 18
 """Smallest spread: 2**-12."""
 SPREAD_MAX = 1 << 28
@@ -214,8 +216,9 @@ def gain_shift_after(votes: int) -> int:
 
     ``votes`` includes this vote, and is at most VOTES_MAX, for which the shift is 7.
     """
-    # 32 to 63 are the numbers of 6 bits, and each doubling takes one bit more. Fewer votes count as 32.
-    return max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3
+    votes_that_count = max(votes, VOTES_OF_MAX_GAIN)
+    # 32 to 63 have 6 bits and the shift 3. Each doubling takes one bit more.
+    return votes_that_count.bit_length() - 3
 
 
 def count_vote(robust: RobustFilter, x_hat: int) -> None:
@@ -288,21 +291,22 @@ def ratio_of_batch(robust: RobustFilter, count: int, black_count: int, share: in
     in units of 2**-8. It is None where the variance is 0, in a batch without observations or for a share of
     0, and where it is so small that it is rounded to 0.
     """
-    variance = count * variance_of_observation(share)  # units of 2**-32
     largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8
-    # The square of the deviation at which the ratio is the largest is a product with the unit 2**-40. Squares
-    # here have the unit 2**-22, so that they fit 64 bits in the C.
+    variance = count * variance_of_observation(share)  # units of 2**-32
+    # The largest ratio is that of this deviation**2. The product has the unit 2**-40. Squares have the unit
+    # 2**-22 here, so that they fit 64 bits in the C.
     largest_square = q22_from_q40(largest_ratio * variance)
     if largest_square == 0:
         return None
-    deviation_q32 = abs(black_count * Q32_ONE - count * share)
+    expected_count_q32 = count * share
+    deviation_q32 = abs(black_count * Q32_ONE - expected_count_q32)
     deviation = q11_from_q32(deviation_q32)
     square = deviation * deviation  # units of 2**-22, as the deviation has 2**-11
     limited_square = min(square, largest_square)
-    # The ratio, limited_square / variance, may be above 1, which a quotient of the C cannot be. But it is as
-    # large a part of the largest ratio as the square is of the largest square, and that part is at most 1.
-    fraction_of_largest = q32_quotient(limited_square, largest_square)
-    return multiply_high(largest_ratio, fraction_of_largest)
+    # A quotient of the C is at most 1, and square / variance may be more. As largest_square / variance is
+    # largest_ratio, the ratio is this part of it:
+    part_of_largest = q32_quotient(limited_square, largest_square)
+    return multiply_high(largest_ratio, part_of_largest)
 
 
 # ---- The test ----
@@ -360,8 +364,8 @@ def centre_after_huber_step(estimates: Sequence[int], centre: int, spread: int) 
 
     That is the point at which the balance is 0: the sum of the estimates' differences from it, each limited
     to -spread .. spread. A step adds the balance divided by the number of estimates whose difference is not
-    limited, or by 1 if there is none. All are in units of 2**-24. The result is limited to what a slot can
-    hold: 0 .. SLOT_ESTIMATE_MAX.
+    limited, or by 1 if there is none. All are in units of 2**-24. The result is at least 0, and at most the
+    largest estimate that a slot can hold.
     """
     differences = [estimate - centre for estimate in estimates]
     limited_differences = [max(-spread, min(spread, difference)) for difference in differences]
@@ -382,10 +386,10 @@ def huber_step_size(balance: int, slope: int) -> int:
 
     ``balance``, without its sign, and the result are in units of 2**-24. ``slope`` is a number of estimates.
     """
-    divisor = slope << 24  # in units of 2**-24, as the balance
-    # At most the divisor, so that the quotient is at most 1.0 and fits 32 bits in the C.
-    limited_balance = min(balance, divisor)
-    step_q32 = q32_quotient(limited_balance, divisor)
+    slope_q24 = slope << 24  # in the units of the balance, so that these cancel out in the quotient
+    # A quotient of the C is at most 1.0.
+    limited_balance = min(balance, slope_q24)
+    step_q32 = q32_quotient(limited_balance, slope_q24)
     return q24_from_q32(step_q32)
 
 
@@ -430,20 +434,20 @@ def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, sprea
     of p (1 - p) and n / t (1 - n / t), as either may be 0. And g * spread, with g = |2 b_hat - 1|, is the
     uncertainty of p, which changes by g where the centre changes by 1.
     """
-    # Shares and variances are in units of 2**-32, squares in units of 2**-64.
+    # Shares, probabilities, variances and g are in units of 2**-32.
     share = q32_quotient(n, t)
     p = probability_of_black(robust.initial_b_hat, q32_from_q24(centre))
     variance = max(variance_of_observation(share), variance_of_observation(p))  # v
     g = slope_of_probability(robust.initial_b_hat)
     g_spread = multiply_high(g, q32_from_q24(spread))
-    # Multiplied by t, so that v needs no division, and with g * spread on the left side, the inequality is
+    # With g * spread on the left side, and multiplied by t, so that v needs no division, the inequality is
     #     t * ((n / t - p)**2 - 12 (g * spread)**2) > 12 * dispersion * v
-    squared_difference = (share - p) ** 2
+    squared_difference = (share - p) ** 2  # units of 2**-64, as the next square
     excess = squared_difference - REJECTED_SIGMAS_SQUARED * g_spread**2
-    scaled_excess = q32_from_q64(t * excess)
-    # The dispersion has the unit 2**-8 and v the unit 2**-32, so that their product has 2**-40.
-    limit = q32_from_q40(REJECTED_SIGMAS_SQUARED * robust.dispersion * variance)
-    return scaled_excess > limit
+    left_side = q32_from_q64(t * excess)
+    # The dispersion has the unit 2**-8, so that its product with v has the unit 2**-40.
+    right_side = q32_from_q40(REJECTED_SIGMAS_SQUARED * robust.dispersion * variance)
+    return left_side > right_side
 
 
 def is_supported(robust: RobustFilter, t: int, n: int, estimates: Sequence[int], centre: int) -> bool:
@@ -483,12 +487,12 @@ def are_valid_votes(robust: RobustFilter) -> bool:
     """
     if robust.votes == 0:
         return (robust.centre, robust.spread, robust.turn) == (CENTRE_START, SPREAD_MAX, 0)
-    # After the vote of a slot the turn is one more than the slot's index.
+    # A slot votes when the turn is its index. Then the turn is one more.
     is_after_filled_slot = 1 <= robust.turn <= SLOTS and robust.is_filled(robust.turn - 1)
     return (
         robust.votes <= VOTES_MAX
         and robust.filled_slots != 0
-        and robust.centre <= q30_from_q23(ONE)
+        and robust.centre <= CENTRE_MAX
         and SPREAD_MIN <= robust.spread <= SPREAD_MAX
         and (robust.turn == 0 or is_after_filled_slot)
     )
