@@ -1,6 +1,7 @@
 // The comparison of all filters: errors of many trials, and the chart of their medians and quartiles.
 
-import { FILTER_LABELS, lineOptions } from "view/charts";
+import { FILTERS } from "playground/settings";
+import { lineOptions } from "view/charts";
 import { colour } from "view/colours";
 
 const SAMPLES_PER_POINT = 8; // of an error's line
@@ -40,7 +41,7 @@ export class Comparison {
     this.interval = interval;
     this.trialCount = trialCount;
     this.chosenFilter = null;
-    this.filters = Object.keys(FILTER_LABELS).map((name) => ({ name, trials: [] }));
+    this.filters = Object.keys(FILTERS).map((name) => ({ name, trials: [] }));
     this.label = "points off per robot: median, middle half of runs";
     this.names = [];
     this.relativeHeight = 1.6;

@@ -5,14 +5,14 @@ import {
   AddressFormat,
   addLiar,
   describeRun,
-  FILTER_WORDS,
+  FILTERS,
   formatCommand,
   limitLiars,
   MAX_SAMPLES,
   makeJob,
   miscalibrateMore,
 } from "playground/settings";
-import { chartsOf, FILTER_LABELS } from "view/charts";
+import { chartsOf } from "view/charts";
 import { decodeBase64, History } from "view/history";
 import { createElement, findElement, meanEstimate, writeText } from "view/panels";
 import { View } from "view/view";
@@ -109,12 +109,12 @@ class Playground {
 
   /** Adds a choice for each filter, in its colour, with room for its error. */
   #createFilterChoices() {
-    for (const [name, text] of Object.entries(FILTER_WORDS)) {
+    for (const [name, { words }] of Object.entries(FILTERS)) {
       const label = createElement("label");
       label.style.setProperty("--colour", `var(--${name})`);
       const choice = Object.assign(createElement("input"), { type: "radio", name: "filter", value: name });
       choice.addEventListener("change", () => this.#changeSettings({ ...this.settings, filter: name }));
-      label.append(choice, createElement("span", text), createElement("output"));
+      label.append(choice, createElement("span", words), createElement("output"));
       findElement("filters").append(label);
     }
   }
@@ -212,7 +212,7 @@ class Playground {
       const [title, error, note] = box.children;
       box.style.setProperty("--colour", `var(--${name})`);
       box.hidden = filter === "none" && box.dataset.name === undefined;
-      writeText(title, `${FILTER_LABELS[name]}, at the end`);
+      writeText(title, `${FILTERS[name].term}, at the end`);
       writeText(error, `off by ${value}`);
       writeText(note, `points, ${runs}`);
       error.classList.toggle("unfinished", !isComplete);

@@ -1,7 +1,5 @@
 // The settings of a run: as an address, as a job of the worker, as a command, and as a history's description.
 
-import { FILTER_LABELS } from "view/charts";
-
 export const MAX_SAMPLES = 1000;
 const TRIALS = 30; // of each filter
 const STEPS_PER_SECOND = 10;
@@ -9,12 +7,12 @@ const MAX_LIARS = 10;
 const RADIO_RANGE = 0.7; // metres
 const INTEGER_SETTINGS = ["robots", "liars", "seed", "everybody", "steps"];
 
-/** The filters in words, by the names that programs use. */
-export const FILTER_WORDS = {
-  none: "no filter",
-  "asdf-minus": "paper's filter in the flawed robots only (ASDF−)",
-  "asdf-plus": "paper's filter in all robots (ASDF+)",
-  robust: "robust filter",
+/** The filters by the names that programs use, each with a short name and in words. */
+export const FILTERS = {
+  none: { term: "no filter", words: "no filter" },
+  "asdf-minus": { term: "ASDF−", words: "paper's filter in the flawed robots only (ASDF−)" },
+  "asdf-plus": { term: "ASDF+", words: "paper's filter in all robots (ASDF+)" },
+  robust: { term: "robust", words: "robust filter" },
 };
 
 /** Returns the settings with more robots that misjudge their sensors. */
@@ -50,7 +48,7 @@ export class AddressFormat {
       if (value >= minimum && value <= maximum) settings[name] = value;
     }
     for (const name of INTEGER_SETTINGS) settings[name] = Math.floor(settings[name]);
-    if (parameters.get("filter") in FILTER_LABELS) settings.filter = parameters.get("filter");
+    if (parameters.get("filter") in FILTERS) settings.filter = parameters.get("filter");
     return limitLiars(settings);
   }
 
@@ -99,12 +97,14 @@ export function formatCommand(settings) {
 
 /** Returns the description of a job's run, as `RunDescription` of view/history.py has it. */
 export function describeRun(job, { sides, floor }) {
+  const { term } = FILTERS[job.filter];
   return {
-    title: `${job.robots} robots, ${job.flawedCount} flawed, ${FILTER_LABELS[job.filter]}`,
+    title: `${job.robots} robots, ${job.flawedCount} flawed, ${term}`,
     robots: Array.from({ length: job.robots }, (_, robot) => robot),
     flawed: Array.from({ length: job.flawedCount }, (_, robot) => robot),
     liars: Array.from({ length: job.liars }, (_, liar) => job.robots - 1 - liar),
     filter: job.filter,
+    filter_term: term,
     unfiltered_errors: [],
     quantities: ["x", "x_hat", "b_hat", "b"],
     fill_ratio: job.fill,

@@ -40,7 +40,9 @@ class RunDescription:
         sides: Width and height of the arena in metres; None if robots do not move.
         radio_range: Largest distance in metres at which robots receive each other; None if they do not move.
         floor: True where the floor is black, the first row in the north; None if there is no floor.
-        filter: Name of the filter by which the robots re-estimate b_hat; None if unknown.
+        filter: Name of the filter by which the robots re-estimate b_hat, which is also the name of its colour
+            on the page; None if unknown.
+        filter_term: The filter's name for readers, such as "ASDF+"; None if unknown.
         unfiltered_errors: Mean error of the same robots in the same run without a filter, averaged over
             consecutive parts of nearly equal length; empty if unknown.
         faults: The text, the first step and the step after the last (None if it has no end) of each fault.
@@ -56,6 +58,7 @@ class RunDescription:
     radio_range: float | None = None
     floor: NDArray[np.bool_] | None = None
     filter: str | None = None
+    filter_term: str | None = None
     unfiltered_errors: Sequence[float] = ()
     faults: Sequence[tuple[str, int, int | None]] = ()
 

@@ -70,6 +70,7 @@ def describe_population(settings: Population, title: str) -> RunDescription:
         steps=settings.steps,
         steps_per_second=settings.steps_per_second,
         filter=settings.filter,
+        filter_term=settings.swarm_filter.typeset_term,
     )
 
 

@@ -43,6 +43,7 @@ def test_a_description_becomes_a_json_object_with_the_names_of_its_attributes() 
         "radio_range": None,
         "floor": None,
         "filter": None,
+        "filter_term": None,
         "unfiltered_errors": [0.1],
         "faults": (),
         "quantities": ("x", "x_hat", "b_hat", "b"),

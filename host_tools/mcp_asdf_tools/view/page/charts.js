@@ -3,14 +3,6 @@
 import { colour, colourOfError } from "view/colours";
 import { createElement } from "view/panels";
 
-/** The filters' names on the page, by the names that programs use; each is also the name of a colour. */
-export const FILTER_LABELS = {
-  none: "no filter",
-  "asdf-minus": "ASDF−",
-  "asdf-plus": "ASDF+",
-  robust: "robust",
-};
-
 const MAX_COLUMNS = 480; // of the screen, for which states are summed up
 const AXIS_HEIGHT = 20; // of the lowest chart, which has the labels of the time axis
 
@@ -126,13 +118,11 @@ class MeanErrorChart {
     this.hasRobotLines = false;
   }
 
-  /** The colour and the text of each line, for the label. */
+  /** The colour and the text of each line, for the label. A filter's colour has the filter's name. */
   get names() {
-    const { filter, unfiltered_errors: unfilteredErrors } = this.history.description;
-    const filters = unfilteredErrors.length > 0 ? [filter, "none"] : [filter];
-    return filters.map((name) =>
-      name in FILTER_LABELS ? [name, FILTER_LABELS[name]] : ["ink", "these robots"],
-    );
+    const { filter, filter_term: term, unfiltered_errors: unfilteredErrors } = this.history.description;
+    const ownName = filter === null ? ["ink", "these robots"] : [filter, term];
+    return unfilteredErrors.length > 0 ? [ownName, ["none", "no filter"]] : [ownName];
   }
 
   get seriesOptions() {

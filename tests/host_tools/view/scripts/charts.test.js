@@ -98,6 +98,22 @@ test("the mean error of a column of a long run is that of all its states", () =>
   assert.deepEqual(errors, new Array(480).fill(0.25));
 });
 
+/** Returns the colours and texts in the label of the mean error's chart; further fields are of a description. */
+function namesOfErrors(fields) {
+  const history = makeHistory({ robots: [0], ticks: [0], fill_ratio: 0.5, quantities: {}, ...fields });
+  return chartsOf(history)[0].names;
+}
+
+test("the mean error has the name of the filter and, if it is drawn, that of no filter", () => {
+  const filter = { filter: "asdf-plus", filter_term: "ASDF+" };
+  assert.deepEqual(namesOfErrors({}), [["ink", "these robots"]]);
+  assert.deepEqual(namesOfErrors(filter), [["asdf-plus", "ASDF+"]]);
+  assert.deepEqual(namesOfErrors({ ...filter, unfiltered_errors: [0.4] }), [
+    ["asdf-plus", "ASDF+"],
+    ["none", "no filter"],
+  ]);
+});
+
 test("the errors without a filter are spread over the run", () => {
   const history = makeHistory({
     robots: [0],

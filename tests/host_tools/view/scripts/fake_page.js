@@ -109,6 +109,7 @@ export function makeHistory({ robots, ticks, quantities, links = [], ...fields }
     steps_per_second: 10,
     sides: null,
     floor: null,
+    filter: null,
     unfiltered_errors: [],
     ...fields,
   };

@@ -7,13 +7,11 @@ import {
   AddressFormat,
   addLiar,
   describeRun,
-  FILTER_WORDS,
   formatCommand,
   limitLiars,
   makeJob,
   miscalibrateMore,
 } from "playground/settings";
-import { FILTER_LABELS } from "view/charts";
 import "./fake_page.js";
 
 const LIMITS = [
@@ -146,14 +144,17 @@ test("a liar more comes at a time, up to ten and to all robots but one", () => {
   assert.equal(addLiar({ ...SETTINGS, robots: 3, liars: 2 }).liars, 2);
 });
 
-test("the description has the first robots as flawed and the last ones as liars", () => {
-  const job = makeJob({ ...SETTINGS, robots: 9, flawed: 20, liars: 2 });
-  const { flawed, liars, filter } = describeRun(job, { sides: null, floor: null });
-  assert.deepEqual([flawed, liars, filter], [[0, 1], [8, 7], "robust"]);
-});
-
-test("every filter has words", () => {
-  assert.deepEqual(Object.keys(FILTER_WORDS), Object.keys(FILTER_LABELS));
+test("the description has the first robots as flawed, the last ones as liars, and the filter's two names", () => {
+  const job = makeJob({ ...SETTINGS, filter: "asdf-minus", robots: 9, flawed: 20, liars: 2 });
+  const { flawed, liars, filter, filter_term: term } = describeRun(job, { sides: null, floor: null });
+  assert.deepEqual(
+    [flawed, liars],
+    [
+      [0, 1],
+      [8, 7],
+    ],
+  );
+  assert.deepEqual([filter, term], ["asdf-minus", "ASDF−"]);
 });
 
 test("one robot at least is no liar", () => {
