@@ -9,6 +9,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors, which do not call ``__getattr__``
+    # A picture that is not named here can be drawn, too; only its parameters are not known to editors.
+    from mcp_asdf_tools.experiments.plots.bands import plot_bands as plot_bands
+    from mcp_asdf_tools.experiments.plots.boxes import plot_boxes as plot_boxes
+    from mcp_asdf_tools.experiments.plots.curve import plot_curve as plot_curve
+    from mcp_asdf_tools.experiments.plots.scatter import plot_scatter as plot_scatter
+    from mcp_asdf_tools.experiments.plots.series import plot_series as plot_series
     from mcp_asdf_tools.library import *  # noqa: F403
     from mcp_asdf_tools.view.notebook_page import show as show
 

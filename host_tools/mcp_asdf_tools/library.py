@@ -21,11 +21,6 @@ if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
     from numpy.typing import NDArray
 
-    from mcp_asdf_tools.experiments.plots.bands import plot_bands
-    from mcp_asdf_tools.experiments.plots.boxes import plot_boxes
-    from mcp_asdf_tools.experiments.plots.curve import plot_curve
-    from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
-    from mcp_asdf_tools.experiments.plots.series import plot_series
     from mcp_asdf_tools.experiments.results import Trials
     from mcp_asdf_tools.swarm.run import SwarmRun
     from mcp_asdf_tools.swarm.swarm import Swarm
@@ -37,11 +32,6 @@ __all__ = [
     "emulate",
     "experiments_in",
     "grid",
-    "plot_bands",
-    "plot_boxes",
-    "plot_curve",
-    "plot_scatter",
-    "plot_series",
     "read_experiments",
     "read_table",
     "score",
@@ -49,6 +39,7 @@ __all__ = [
     "start_swarm",
     "to_frame",
 ]
+__all__ += [f"plot_{kind}" for kind in KINDS]
 
 _ROWS_AT_ONCE = 2**16
 """Rows of a tidy table that are made at once when a log is replayed."""
