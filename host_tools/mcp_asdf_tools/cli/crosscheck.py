@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from mcp_asdf.robot import Status
 from mcp_asdf_tools.cli.output import json_report, print_again
+from mcp_asdf_tools.cli.parsing import typed_options
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED
 
@@ -31,20 +32,22 @@ exit code: 0 all is well, 1 a check failed, 2 bad usage, 128 + signal if
 interrupted (results so far are printed)"""
 LIBRARIES = ("mpmath", "rich.console")
 
-_DEFAULT_STEPS = 25_000
-_DEFAULT_SEED = 1
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare ``--steps`` and ``--seed`` of the whole check, and ``--replay``, one scenario in its place."""
     parser.add_argument(
-        "--steps", type=int, metavar="N", help=f"make and compare this many calls (default {_DEFAULT_STEPS})"
+        "--steps",
+        type=int,
+        metavar="N",
+        default=25_000,
+        help="make and compare this many calls (default %(default)s)",
     )
     parser.add_argument(
         "--seed",
         type=int,
         metavar="S",
-        help=f"seed of the random scenarios, 0 or more (default {_DEFAULT_SEED})",
+        default=1,
+        help="seed of the random scenarios, 0 or more (default %(default)s)",
     )
     parser.add_argument("--replay", metavar="LINE", help="run only the scenario that a failed check printed")
 
@@ -57,18 +60,15 @@ def run(args: argparse.Namespace) -> int:
     """
     from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 
-    # The parser has no defaults for steps and seed, so that it shows here what the user has typed.
     if args.replay is not None:
-        if args.steps is not None or args.seed is not None:
+        if typed_options(args) & {"--steps", "--seed"}:
             raise UsageError("--replay runs one scenario; it does not go with --steps or --seed")
         return _replay(parse_scenario(args.replay), args.json)
-    steps = _DEFAULT_STEPS if args.steps is None else args.steps
-    seed = _DEFAULT_SEED if args.seed is None else args.seed
-    if steps < 1:
-        raise UsageError(f"--steps is {steps}; choose 1 or more")
-    if seed < 0:
-        raise UsageError(f"--seed is {seed}; choose 0 or more")
-    return _check_all(steps, seed, args)
+    if args.steps < 1:
+        raise UsageError(f"--steps is {args.steps}; choose 1 or more")
+    if args.seed < 0:
+        raise UsageError(f"--seed is {args.seed}; choose 0 or more")
+    return _check_all(args)
 
 
 def _load_comparable(name: str) -> Firmware:
@@ -142,8 +142,8 @@ def _replay_report(scenario: Scenario, failure: Failure | None, status: str) -> 
     }
 
 
-def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
-    """Run random scenarios of ``steps`` calls, and the checks of cost and storage; print the report.
+def _check_all(args: argparse.Namespace) -> int:
+    """Run random scenarios of ``--steps`` calls, and the checks of cost and storage; print the report.
 
     A failure is reported with the shortest scenario that shows it. Returns exit code 1 if a check failed, and
     INTERRUPTED if Ctrl-C ended it before that.
@@ -156,20 +156,20 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
 
     audit = Audit()
     counts = count_operations()
-    with progress("calls", steps, args.json) as report_progress:
-        result = run_crosscheck(_make_scenario_check(audit), seed, steps, report_progress)
+    with progress("calls", args.steps, args.json) as report_progress:
+        result = run_crosscheck(_make_scenario_check(audit), args.seed, args.steps, report_progress)
     if result.failure is not None:
         # A short scenario is easier to understand than the random one that failed.
         result.failure = _find_shortest(result.failure)
-    report = CrosscheckReport(seed, result, audit, counts, measure_storage())
-    _print_report(report, steps, args)
+    report = CrosscheckReport(args.seed, result, audit, counts, measure_storage())
+    _print_report(report, args)
     if not report.is_good:
         return 1
     return INTERRUPTED if result.interrupted else 0
 
 
-def _print_report(report: CrosscheckReport, steps: int, args: argparse.Namespace) -> None:
-    """Print the report of a check of ``steps`` calls: tables and a verdict, or JSON with --json.
+def _print_report(report: CrosscheckReport, args: argparse.Namespace) -> None:
+    """Print the report of a check: tables and a verdict, or JSON with --json.
 
     If all is good, the last line says how to repeat the check. Otherwise the verdict ends with the line that
     replays the failure.
@@ -182,7 +182,7 @@ def _print_report(report: CrosscheckReport, steps: int, args: argparse.Namespace
     Console(soft_wrap=True).print(report.tables())
     print(report.verdict())
     if report.is_good:
-        print_again(args, steps=steps, seed=report.seed)
+        print_again(args, steps=args.steps, seed=args.seed)
 
 
 def _find_shortest(failure: Failure) -> Failure:

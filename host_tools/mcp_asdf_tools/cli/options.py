@@ -14,7 +14,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from mcp_asdf_tools.cli.parsing import describe_unknown_value, option_of
+from mcp_asdf_tools.cli.parsing import describe_unknown_value, option_of, typed_options
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extensions import Names
 from mcp_asdf_tools.common.parameters import Parameter, ParameterError, parameters_of
@@ -202,7 +202,8 @@ def add_robot_options(group: argparse._ArgumentGroup, default_firmware: str) -> 
         "--neighbours",
         type=int,
         metavar="Q",
-        help=f"neighbours for which its t-table is made, 2 to 127 (default {MAX_ID})",
+        default=MAX_ID,
+        help="neighbours for which its t-table is made, 2 to 127 (default %(default)s)",
     )
     # In two calls, for the help: within one, options come in the order that they have in Population.
     add_parameters_to(group, Population, _FILTER_PARAMETERS)
@@ -224,14 +225,13 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     from mcp_asdf.robot import MAX_ID, FirmwareError
     from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
-    neighbours = MAX_ID if args.neighbours is None else args.neighbours
-    if not 2 <= neighbours <= MAX_ID:
-        raise UsageError(f"--neighbours is {neighbours}; it must be 2 to {MAX_ID}")
+    if not 2 <= args.neighbours <= MAX_ID:
+        raise UsageError(f"--neighbours is {args.neighbours}; it must be 2 to {MAX_ID}")
     # The robot is taken from a population, so that the options mean what they mean in the command swarm.
-    population = _population_around_robot(args, neighbours)
+    population = _population_around_robot(args)
     robot_in_population = 0  # the flawed robot: flawed ones are the first by id
     config = population.config(robot_in_population)
-    if config.table is None and args.neighbours is not None:
+    if config.table is None and "--neighbours" in typed_options(args):
         raise UsageError("--neighbours would do nothing: the robot uses no t-table; leave it out")
     robot_setup = RobotSetup(args.id, args.firmware, args.b_hat, config, population.comms_period)
     try:
@@ -241,7 +241,7 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     return robot_setup
 
 
-def _population_around_robot(args: argparse.Namespace, neighbours: int) -> Population:
+def _population_around_robot(args: argparse.Namespace) -> Population:
     """Return the population of the robot that the options describe and of its neighbours.
 
     That robot is the only flawed one, since the filter asdf-minus is for flawed robots alone. Raises
@@ -250,28 +250,27 @@ def _population_around_robot(args: argparse.Namespace, neighbours: int) -> Popul
     from mcp_asdf_tools.robots.population import Population
 
     robot_args = argparse.Namespace(**{name: getattr(args, name) for name in _ROBOT_PARAMETERS})
-    return settings_from(robot_args, Population, robots=neighbours + 1, flawed=1)
+    return settings_from(robot_args, Population, robots=args.neighbours + 1, flawed=1)
 
 
 # --- T-tables --------------------------------------------------------------------------------------------
-
-_DEFAULT_OMEGA = "0.05"
-_DEFAULT_NEIGHBOURS = 127
 
 
 def add_table_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that describe a t-table, which ``table_of`` reads."""
     parser.add_argument(
         "--omega",
+        default="0.05",
         help="set the type II error probability of the test, above 0 to 0.9, with up to 9 decimal places "
-        f"(default {_DEFAULT_OMEGA})",
+        "(default %(default)s)",
     )
     parser.add_argument(
         "--neighbours",
         metavar="Q",
         type=int,
+        default=127,
         help="store exact thresholds for up to this many neighbours, 2 to 127; 4 bytes each "
-        f"(default {_DEFAULT_NEIGHBOURS})",
+        "(default %(default)s)",
     )
 
 
@@ -282,9 +281,7 @@ def table_of(args: argparse.Namespace) -> tuple[Decimal, int]:
     """
     from mcp_asdf_tools.tables.thresholds import parse_omega
 
-    omega_text = _DEFAULT_OMEGA if args.omega is None else args.omega
-    neighbours = _DEFAULT_NEIGHBOURS if args.neighbours is None else args.neighbours
-    return parse_omega(omega_text), neighbours
+    return parse_omega(args.omega), args.neighbours
 
 
 # --- Bus, frames and logs --------------------------------------------------------------------------------
@@ -544,7 +541,11 @@ def add_limit_options(parser: argparse.ArgumentParser) -> None:
         help="score 0 for this convergence time K (default: length of a trial)",
     )
     group.add_argument(
-        "--e-max", type=float, metavar="ERROR", help=f"score 0 for this error e (default: {E_MAX})"
+        "--e-max",
+        type=float,
+        metavar="ERROR",
+        default=E_MAX,
+        help="score 0 for this error e (default: %(default)s)",
     )
 
 
@@ -553,16 +554,9 @@ def limits_of(args: argparse.Namespace) -> Limits:
 
     Raises UsageError for one of 0 or less.
     """
-    from mcp_asdf_tools.experiments.scores import E_MAX, Limits
+    from mcp_asdf_tools.experiments.scores import Limits
 
-    e_max = E_MAX if args.e_max is None else args.e_max
-    return Limits(args.k_max, e_max)  # a K_max of None stands for the length of each trial
-
-
-def typed_limit_options(args: argparse.Namespace) -> list[str]:
-    """Return the options for K_max and e_max that the user has typed, such as ``["--e-max"]``."""
-    values = {"--k-max": args.k_max, "--e-max": args.e_max}
-    return [option for option, value in values.items() if value is not None]
+    return Limits(args.k_max, args.e_max)  # a K_max of None stands for the length of each trial
 
 
 def add_where_option(group: argparse._ActionsContainer) -> None:

@@ -22,6 +22,7 @@ from mcp_asdf_tools.cli.output import (
     sleep_until,
     warn,
 )
+from mcp_asdf_tools.cli.parsing import typed_options
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.robots.clock import ClockKind
@@ -61,8 +62,6 @@ _logger = logging.getLogger(__name__)
 
 _STARTING_TIMEOUT = 60.0
 """Seconds that robots in other processes and controllers have to send their first heartbeats."""
-_DEFAULT_PACE = 500.0
-"""Steps a second with ``--view``, unless another number is given."""
 
 # --- Options ---------------------------------------------------------------------------------------------
 
@@ -147,7 +146,8 @@ def _add_output_options(parser: argparse.ArgumentParser) -> None:
         "--pace",
         metavar="N",
         type=float,
-        help=f"run N steps per second with --view; 0: as fast as possible (default {_DEFAULT_PACE:g})",
+        default=500,
+        help="run N steps per second with --view; 0: as fast as possible (default %(default)s)",
     )
     options.add_port_option(group)
     group.add_argument("--quiet", action="store_true", help="print only a summary of one line")
@@ -272,9 +272,9 @@ def _plan_run(args: argparse.Namespace) -> _RunPlan:
 
 def _check_output_options(args: argparse.Namespace, wiring: Wiring) -> None:
     """Raise UsageError for --pace or --port without --view, and for --compare with robots elsewhere."""
-    for option in ("pace", "port"):
-        if getattr(args, option) is not None and not args.view:
-            raise UsageError(f"--{option} is for the page of --view; add --view, or leave it out")
+    for option in ("--pace", "--port"):
+        if option in typed_options(args) and not args.view:
+            raise UsageError(f"{option} is for the page of --view; add --view, or leave it out")
     if args.compare and wiring.remote:
         raise UsageError(
             "--compare runs the swarm again with other filters, but robots elsewhere run once; leave it out"
@@ -463,8 +463,7 @@ def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
     from mcp_asdf_tools.view.run_histories import SwarmRecorder
     from mcp_asdf_tools.view.server import serve_page
 
-    pace = _DEFAULT_PACE if plan.args.pace is None else plan.args.pace
-    recorder = SwarmRecorder(plan.settings, pace)
+    recorder = SwarmRecorder(plan.settings, plan.args.pace)
     url = at_end.enter_context(serve_page(recorder.history, plan.args.port))
     announce_page(url, plan.args.json)
     return recorder
