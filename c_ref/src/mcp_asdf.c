@@ -157,21 +157,23 @@ ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observati
  * quotients keep many significant bits. The exponent of the result takes the shifts back.
  *   total     t 2^shift                    [2^31, 2^32)
  *   rarer     p t 2^shift                  [2^11, total / 2]
- *   scale     g t 2^(shift + g_shift)      [2^30, 2^32)
+ *   g_total   g t 2^(shift + g_shift)      [2^30, 2^32)
  *   g_shift   by how much g was shifted    at most 31
  *   shift     by how much t was shifted    at most 31
  *
- * With t^2 above and below, alpha = (g t)^2 t / (p t (1 - p) t); `square` is the dividend and `spread` the
- * divisor. The dividend is a product of three words: each multiply_high() leaves out the lower 32 bits, and
- * the upper word of the three is what is left. The divisor keeps both of its words. */
-ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uint32_t scale, uint32_t g_shift,
-                                             uint32_t shift)
+ * With t^2 above and below, alpha = (g t)^2 t / (p t (1 - p) t), a dividend by a divisor. The dividend is a
+ * product of three words: each multiply_high() leaves out the lower 32 bits, and the upper word of the three
+ * is what is left. The divisor keeps both of its words. */
+ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uint32_t g_total,
+                                             uint32_t g_shift, uint32_t shift)
 {
-    const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
-    const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
+    const uint32_t square = multiply_high(g_total, g_total);
+    const uint32_t dividend = multiply_high(square, total);  /* [2^27, 2^32) */
+    const uint64_t divisor = multiply(rarer, total - rarer); /* [2^41, 2^62] */
     /* Both are shifted until their highest bit is set, and of the divisor the upper word is taken, so that
      * the quotient has as many significant bits as it can. */
-    const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
+    const uint32_t dividend_shift = leading_zeros(dividend);
+    const uint32_t divisor_shift = leading_zeros(high_word(divisor));
     /* The exponent takes back what was left out or shifted:
      *
      *     64                        bits left out of the dividend
@@ -183,10 +185,10 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
      *
      * and then the two shifts above. It may be negative, in two's complement. */
     uint32_t exponent = 64U - 32U - QUOTIENT_FRACTION_BITS + ALPHA_FRACTION_BITS - 2U * g_shift - shift;
-    exponent = exponent + spread_shift - square_shift;
+    exponent = exponent + divisor_shift - dividend_shift;
     /* divide_24() takes divisors up to 2^31: both sides are halved, which leaves their quotient as it is. */
-    const uint32_t shifted_spread = shifted_high_word(spread, spread_shift);
-    uint32_t mantissa = divide_24(shift_left(square, square_shift) >> 1, shifted_spread >> 1);
+    const uint32_t shifted_divisor = shifted_high_word(divisor, divisor_shift);
+    uint32_t mantissa = divide_24(shift_left(dividend, dividend_shift) >> 1, shifted_divisor >> 1);
     /* The quotient is in [2^23, 2^25), a mantissa below 2^24: a 25th bit goes into the exponent. */
     const uint32_t excess_bit = (mantissa >> 24) & 1U;
     mantissa >>= excess_bit; /* a shift by at most 1 */
@@ -231,11 +233,12 @@ HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accur
     } else {
         /* x = (p t - c t) / (g t) with g = 1 - 2c. Both are shifted by g_shift, which leaves their quotient
          * as it is, so that the divisor has 31 or 32 bits. */
-        const uint32_t scale = shift_left(total - 2U * errors, g_shift); /* g t: [2^30, 2^32) */
-        const uint32_t above = shift_left(rarer - errors, g_shift);      /* <= scale / 2, where x is 1/2 */
-        /* Divided by scale / 2, a Q24 of 2 x is a Q25 of x. */
-        x = divide_24(above, scale >> 1) >> 2; /* Q25 to Q23 */
-        alpha = confidence_inside(total, rarer, scale, g_shift, shift);
+        const uint32_t g_total = shift_left(total - 2U * errors, g_shift); /* g t: [2^30, 2^32) */
+        const uint32_t excess = shift_left(rarer - errors, g_shift);       /* <= g_total / 2, as x <= 1/2 */
+        /* divide_24() takes a divisor of at most 31 bits. With half of it the quotient is twice x, as Q24. */
+        const uint32_t twice_x = divide_24(excess, g_total >> 1);
+        x = twice_x >> 2; /* by 1 to undo the doubling, and by 1 from Q24 to Q23 */
+        alpha = confidence_inside(total, rarer, g_total, g_shift, shift);
     }
     /* x is the share of black if black is the rarer colour (n - white is negative: bit 31 is set) and the
      * sensor is right more often than wrong (bit 31 of b_hat is set), or if neither is so. If only one is so,
@@ -248,9 +251,9 @@ HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accur
 }
 
 /* Count the observation z, and form the local estimate x_hat (Q23) and its alpha word. When t reaches the
- * memory, t and n are halved: this keeps the share of black, and new observations weigh more; the robust
- * filter then begins a new batch of observations. Sets `updated` to 0. Returns OK, or ERR_OBSERVATION if z is
- * no observation; the robot is then as it was. */
+ * memory, t and n are halved (half of an odd n is rounded to the even one of its neighbours): this keeps the
+ * share of black, and new observations weigh more; the robust filter then begins a new batch of observations.
+ * Sets `updated` to 0. Returns OK, or ERR_OBSERVATION if z is no observation; the robot is then as it was. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 {
     if ((uint32_t)z > (uint32_t)MCP_ASDF_BLACK) {

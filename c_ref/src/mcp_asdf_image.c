@@ -126,8 +126,8 @@ static bool are_valid_sums(const mcp_asdf_open_t *open)
            is_valid_mean(open->alpha, open->alpha_x_low, open->alpha_x_high);
 }
 
-/* Whether received estimates can have led to the sums of the closed and of the open round. With the robust
- * filter there are none. */
+/* Whether received estimates can have led to the sums of the closed and of the open round. Of a closed round
+ * only the sums of the weighted mean are kept, and checked. True with the robust filter, which keeps none. */
 static bool are_valid_rounds(const mcp_asdf_t *robot)
 {
     return mcp_asdf_is_robust(robot->config) ||
@@ -432,6 +432,9 @@ static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
  * other) are recognised. */
 static uint32_t magic_word(bool is_robust) { return is_robust ? IMAGE_MAGIC | ROBUST_IMAGE : IMAGE_MAGIC; }
 
+/* Returns the next word of an image that is read. The value that is passed does not matter then. */
+ALWAYS_INLINE uint32_t read_word(image_t *image) { return pass_word(image, 0); }
+
 /* Write the image of `robot` to `image`: the magic word, the state, and the hash of both. */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
@@ -453,12 +456,10 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
     image_t input = {.source = image, .target = NULL, .hash = HASH_START, .is_read = true};
     mcp_asdf_t restored = {0}, fresh; /* `fresh` is first a new robot, then lent to is_valid_state() */
     const bool is_robust = mcp_asdf_is_robust(config);
-    /* While an image is read, the value that is passed to pass_word() does not matter. */
-    const bool has_magic_word = pass_word(&input, 0) == magic_word(is_robust);
+    const bool has_magic_word = read_word(&input) == magic_word(is_robust);
     pass_state(&input, &restored, is_robust);
-    const uint32_t hash = input.hash; /* of all words but the last, which should be equal to it */
-    /* pass_word() reads the last word here. Without the magic word it need not be read. */
-    const bool is_undamaged = has_magic_word && pass_word(&input, 0) == hash;
+    const uint32_t hash = input.hash; /* of all words but the last, which is next and should equal it */
+    const bool is_undamaged = has_magic_word && read_word(&input) == hash;
     /* Errors of the config come before those of the image. The new robot gives the restored one what an image
      * leaves out: what follows from b_hat, and the robust filter's memory where the filter is another. */
     const mcp_asdf_status_t status = mcp_asdf_init(&fresh, config, restored.id, restored.accuracy.b_hat);

@@ -231,8 +231,8 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     if (largest_square == 0U) {
         return;
     }
-    /* The ratio is to the largest ratio as the square is to the largest square. Unlike square / variance,
-     * this fraction is at most 1, as quotient() needs it. */
+    /* quotient() takes no fraction above 1, as square / variance may be. As largest_square / variance is the
+     * largest ratio, the ratio is this part of it. */
     const uint64_t limited_square = square < largest_square ? square : largest_square;
     const uint32_t fraction_of_largest = quotient(limited_square, largest_square); /* Q32 */
     const uint32_t ratio = multiply_high(largest_ratio, fraction_of_largest);      /* < 2^20 */
@@ -426,10 +426,12 @@ static uint32_t run_robust_filter(mcp_asdf_t *robot)
     if (count < MCP_ASDF_TESTED_ESTIMATES_MIN) {
         return 0;
     }
-    /* The median: the mean of the two estimates in the middle or, if the count is odd, of the middle one with
-     * itself. The sum is a Q16. Shifted by 8 it would be a Q24, and shifted by 7 it is half of that. */
-    uint32_t centre = ((uint32_t)sorted[(count - 1U) / 2U] + sorted[count / 2U]) << 7;
-    const uint32_t spread = median_distance(sorted, count, centre);
+    /* The median is the mean of the two estimates in the middle or, if the count is odd, of the middle one
+     * with itself. Their sum is a Q16: shifted by 8 it would be a Q24, and shifted by 7 it is half of that.
+     */
+    const uint32_t median = ((uint32_t)sorted[(count - 1U) / 2U] + sorted[count / 2U]) << 7;
+    const uint32_t spread = median_distance(sorted, count, median); /* Q24, as the median and the centre */
+    uint32_t centre = median;
     for (uint32_t i = 0; i < HUBER_STEPS; ++i) { /* at most 3 turns */
         centre = huber_step(sorted, count, centre, spread);
     }

@@ -75,7 +75,8 @@ static uint32_t long_code_from_alpha(uint32_t alpha)
  * down, but not to 0, which is the code of no confidence (alpha 0). */
 uint32_t mcp_asdf_alpha_to_code(uint32_t alpha, uint32_t bits)
 {
-    if (alpha >> 8 == 0U) { /* the mantissa is 0, and so is alpha */
+    const uint32_t mantissa = alpha >> 8;
+    if (mantissa == 0U) { /* so alpha is 0, whatever the shift in the lower bits of the word */
         return 0;
     }
     const uint32_t code = long_code_from_alpha(alpha) >> (32U - bits);

@@ -250,9 +250,9 @@ def asdf_test_rejects(
 
         |X - x_hat| > (t_{m-1,(1-omega)/2} / sqrt(m) + 1) S
 
-    It never does for m < 2, where the sample has no variance. ``omega``, between 0 and 1, is the type II
-    error probability of the test, and ``t_{...}`` what `t_score` returns. Raises ValueError if an estimate is
-    infinite or NaN.
+    or, with conventions that are not ``strict``, if both sides are equal. It never does for m < 2, where the
+    sample has no variance. ``omega``, between 0 and 1, is the type II error probability of the test, and
+    ``t_{...}`` what `t_score` returns. Raises ValueError if an estimate is infinite or NaN.
     """
     if not all(map(math.isfinite, (x_hat, *neighbours))):
         raise ValueError(f"x_hat is {x_hat}, its neighbours' {list(neighbours)}; all must be finite")
@@ -405,10 +405,11 @@ class ReferenceRobot:
         batch of observations. Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE
         nor BLACK.
         """
-        if operator.index(z) not in (Observation.WHITE, Observation.BLACK):
+        colour = operator.index(z)  # raises TypeError for a float, and turns a NumPy integer into an int
+        if colour not in (Observation.WHITE, Observation.BLACK):
             return Status.ERR_OBSERVATION
         self._t += 1
-        if z == Observation.BLACK:
+        if colour == Observation.BLACK:
             self._n += 1
         if self._t == self._config.memory:
             # Halving keeps the share of black tiles, and lets new observations weigh more than old ones.

@@ -136,9 +136,10 @@ def dispersion_after_batch(
     with the batch's, and have the dispersion before the batch.
 
     The deviation is how far the number of black ones is from the expected one. Its square is divided by the
-    mean square for independent observations. This ratio enters a moving average with a weight of 1/8. A ratio
-    above 12 times that average is an outlier, and counts as 12 times. If the batch has no observations, or
-    all observations of the robot are of one colour, the dispersion stays as it is.
+    mean square for independent observations. This ratio enters a moving average, the dispersion, with a
+    weight of 1/8. A ratio above 12 times the dispersion before is an outlier, and counts as 12 times. The
+    result is limited to DISPERSION_MIN .. DISPERSION_MAX. If the batch has no observations, or all
+    observations of the robot are of one colour, the dispersion stays as it is.
     """
     to_number = type(observations.dispersion)
     dispersion = observations.dispersion
@@ -168,12 +169,14 @@ def huber_centre(estimates: Sequence[Number], middle: Number, spread: Number) ->
 
     It is the point where the distances of the estimates above and below balance, if none counts with more
     than ``spread``: a mean of the estimates near to it, which those far away move by a limited amount. It is
-    computed by three steps of Newton's method from ``middle``, their median.
+    computed by three steps of Newton's method from ``middle``, their median. After each step the centre is
+    limited to [0, 1].
     """
     to_number = type(middle)
     centre = middle
     for _ in range(HUBER_STEPS):
-        centre = max(to_number(0), min(centre + huber_step(estimates, centre, spread), to_number(1)))
+        moved_centre = centre + huber_step(estimates, centre, spread)
+        centre = max(to_number(0), min(moved_centre, to_number(1)))
     return centre
 
 
@@ -181,15 +184,15 @@ def huber_step(estimates: Sequence[Number], centre: Number, spread: Number) -> N
     """Return what one step of Newton's method adds to a centre on its way to the Huber centre of estimates.
 
     It is the sum of the differences of the estimates from the centre, each limited to -spread .. spread,
-    divided by the number of those that need no limit. O(m) for m estimates.
+    divided by the number of those that need no limit, or by 1 if there are none. O(m) for m estimates.
     """
     limited_differences = [max(-spread, min(estimate - centre, spread)) for estimate in estimates]
     zero = type(centre)(0)  # a float or a Fraction, as the differences are
     balance = sum(limited_differences, start=zero)
-    # Each of these estimates lowers the balance by 1 where the centre moves up by 1: their number is the
-    # slope.
+    # The slope: where the centre moves up by 1, each of these estimates lowers the balance by 1.
     inside_count = sum(abs(estimate - centre) <= spread for estimate in estimates)
-    return balance / max(inside_count, 1)
+    slope = max(inside_count, 1)
+    return balance / slope
 
 
 # ---- The test ----

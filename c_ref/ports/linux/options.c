@@ -220,7 +220,8 @@ static uint8_t parse_filter(const option_texts_t texts)
  * Ends the program if there is an unknown option, or an argument that belongs to none. */
 static void collect_texts(option_texts_t texts, int argument_count, char *const arguments[])
 {
-    enum { FIRST_CODE = 256 }; /* above all characters, one of which getopt_long() returns for an error */
+    /* getopt_long() returns FIRST_CODE + i for option i, and a character, which is less, for an error. */
+    enum { FIRST_CODE = 256 };
     struct option options[OPTION_COUNT + 1] = {0}; /* an entry of zeros at the end, for getopt_long() */
     for (int i = 0; i < OPTION_COUNT; ++i) {
         texts[i] = option_table[i].default_text;
@@ -257,7 +258,8 @@ static void print_help_or_version(const option_texts_t texts)
 
 /* ---- Checks: each ends the program if options do not fit together ----------------------------------- */
 
-/* Check that the required options are there, and exactly one source of observations. */
+/* Check that --interface and --id are there, and exactly one of --lockstep, --observations and --sensor. If
+ * not, the program ends with a message, by fail(), which for these three names --lockstep. */
 static void check_required_options(const option_texts_t texts)
 {
     if (texts[INTERFACE] == NULL) {

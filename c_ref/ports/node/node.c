@@ -217,7 +217,7 @@ static void receive_estimate(node_t *node, const mcp_asdf_estimate_t *estimate)
     if (node->senders != NULL) {
         check_alpha_jump(node, estimate);
     }
-    if (is_ignored && !has_own_id) {
+    if (is_ignored && !has_own_id) { /* an id collision is counted below even if the own id is on the list */
         ++node->counts.ignored_estimates;
         return;
     }
