@@ -14,7 +14,10 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -211,6 +214,17 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
             make(folder)
             done_mark.touch()
     return folder
+
+
+def load_program(path: Path) -> ModuleType:
+    """Return a Python file that belongs to no package as a module, whatever its name."""
+    loader = SourceFileLoader(path.stem.replace(".", "_"), str(path))
+    spec = spec_from_loader(loader.name, loader)
+    assert spec is not None
+    module = module_from_spec(spec)
+    sys.modules[loader.name] = module  # where dataclasses look for their module
+    loader.exec_module(module)
+    return module
 
 
 def names_in(folder: Path) -> list[str]:

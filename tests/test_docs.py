@@ -16,7 +16,7 @@ import pytest
 
 from browser import new_page, until
 from mcp_asdf_tools.cli import main as cli
-from support import PAGES, ROOT, TABLE, block_with, blocks, require, run, version_of_header
+from support import PAGES, ROOT, block_with, blocks, require, run, version_of_header
 from targets.c_node import SANITIZED_BUILD, node_command
 
 if TYPE_CHECKING:
@@ -365,32 +365,18 @@ README_OUTPUT = block_with(README, "share of black 0.685", "text")
 
 
 def test_the_commands_of_the_readme_build_and_run_its_c_program_in_an_empty_folder(tmp_path: Path) -> None:
-    """The three commands get the firmware, compile the program, and start it."""
+    """The three commands get the firmware, compile the program, and start it.
+
+    The compiler treats all warnings as errors here, so that the program and the firmware have none.
+    """
     [program] = blocks(README, "c")
     (tmp_path / "robot.c").write_text(program)
     get_firmware, build, start = block_with(README, "robot.c", "sh").splitlines()
 
     get_firmware_silently = f"{get_firmware} >/dev/null"
-    printed = run("sh", "-ec", "\n".join([get_firmware_silently, build, start]), cwd=tmp_path)
-
-    assert printed == README_OUTPUT
-
-
-def test_the_c_program_of_the_readme_builds_with_firmware_that_was_copied_by_hand(tmp_path: Path) -> None:
-    """No compiler warning stops the build, which treats all of them as errors.
-
-    The program then prints what the README shows. The first of its commands, which would get the firmware, is
-    left out.
-    """
-    [program] = blocks(README, "c")
-    (tmp_path / "robot.c").write_text(program)
-    shutil.copytree(ROOT / "c_ref/src", tmp_path / "vendor/mcp_asdf")
-    shutil.copy(TABLE, tmp_path / "vendor/mcp_asdf")
-    _get_firmware, build, start = block_with(README, "robot.c", "sh").splitlines()
-    assert "-std=c99" in build
     strict_build = build.replace("-std=c99", "-std=c99 -pedantic-errors -Wall -Wextra -Werror")
-
-    printed = run("sh", "-ec", f"{strict_build}\n{start}", cwd=tmp_path)
+    assert strict_build != build
+    printed = run("sh", "-ec", "\n".join([get_firmware_silently, strict_build, start]), cwd=tmp_path)
 
     assert printed == README_OUTPUT
 

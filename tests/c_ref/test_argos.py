@@ -7,11 +7,9 @@ that the example uses, and a small simulator around them.
 from __future__ import annotations
 
 import csv
-import importlib.util
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from support import ROOT, WARNINGS, made_once, require, run
+from support import ROOT, WARNINGS, load_program, made_once, require, run
 
 pytestmark = pytest.mark.slow
 
@@ -185,50 +183,37 @@ def run_swarm(built_folder: Path, tmp_path: Path) -> RunSwarm:
     return run_in_folder
 
 
-def check_logs(folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run check_log.py on all logs in a folder, as a user does, and return the ended process."""
-    logs = sorted(str(path) for path in folder.glob("*.csv"))
-    command = [sys.executable, str(EXAMPLE / "check_log.py"), *logs]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+@pytest.fixture(scope="module")
+def check_log() -> ModuleType:
+    """The module check_log.py."""
+    return load_program(EXAMPLE / "check_log.py")
 
 
-@dataclass(frozen=True)
-class CheckedLog:
-    """Verdict of check_log.py on a log."""
-
-    ticks: int
-    updates: int
-
-
-def parse_checked_logs(output: str) -> list[CheckedLog]:
-    """Return the numbers in the output of check_log.py, which has a line for each log that it passes.
-
-    A line is such as "logs/kiv0.csv: 300 ticks, 5700 messages, 4 updates of b_hat: all bits are equal".
-    """
-    numbers = re.findall(r"^.*: (\d+) ticks, .* (\d+) updates .*: all bits are equal$", output, re.MULTILINE)
-    return [CheckedLog(int(ticks), int(updates)) for ticks, updates in numbers]
+def exit_code_for_logs(check_log: ModuleType, folder: Path) -> int:
+    """Run check_log.py on all logs in a folder, as a user does, and return its exit code."""
+    exit_code: int = check_log.main(sorted(map(str, folder.glob("*.csv"))))
+    return exit_code
 
 
 def test_the_robots_of_a_swarm_compute_the_same_bits_as_robots_in_python(
-    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+    run_swarm: RunSwarm, swarm: Swarm, check_log: ModuleType, tmp_path: Path
 ) -> None:
     """The swarm of the example's swarm.argos has 20 robots, and each writes a log.
 
-    check_log.py computes all logs again in Python, and says that every bit is equal. In some of them the
-    filter changes the accuracy, so that its code is compared, too.
+    check_log.py computes all logs again in Python, and finds no bit that differs. In some of them the filter
+    changes the accuracy, so that its code is compared, too.
     """
     assert run_swarm(swarm, ticks=300).returncode == 0
 
-    result = check_logs(tmp_path / "logs")
+    verdicts = [check_log.check_log(path) for path in (tmp_path / "logs").glob("*.csv")]
 
-    assert result.returncode == 0, result.stdout
-    logs = parse_checked_logs(result.stdout)
-    assert [log.ticks for log in logs] == [300] * 20
-    assert sum(log.updates for log in logs) > 10, "changes of the accuracy"
+    assert [verdict.difference for verdict in verdicts] == [None] * 20
+    assert [verdict.ticks for verdict in verdicts] == [300] * 20
+    assert sum(verdict.updates for verdict in verdicts) > 10, "changes of the accuracy"
 
 
 def test_robots_with_the_robust_filter_compute_the_same_bits_as_robots_in_python(
-    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+    run_swarm: RunSwarm, swarm: Swarm, check_log: ModuleType, tmp_path: Path
 ) -> None:
     """A run writes a log of each robot into the folder ``logs``, with all that it received and computed.
 
@@ -237,13 +222,11 @@ def test_robots_with_the_robust_filter_compute_the_same_bits_as_robots_in_python
     swarm.set_parameter("filter", "robust")
     assert run_swarm(swarm).returncode == 0
 
-    result = check_logs(tmp_path / "logs")
-
-    assert result.returncode == 0
+    assert exit_code_for_logs(check_log, tmp_path / "logs") == 0
 
 
 def test_after_a_reset_the_log_has_the_second_run_alone(
-    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+    run_swarm: RunSwarm, swarm: Swarm, check_log: ModuleType, tmp_path: Path
 ) -> None:
     """The swarm runs, is reset, and runs again. Each robot, such as kiv0, writes a log of its own.
 
@@ -255,7 +238,7 @@ def test_after_a_reset_the_log_has_the_second_run_alone(
     log = (tmp_path / "logs/kiv0.csv").read_text(encoding="utf-8")
     assert log.count("start,") == 1
     assert log.count("settle,") == 300
-    assert check_logs(tmp_path / "logs").returncode == 0
+    assert exit_code_for_logs(check_log, tmp_path / "logs") == 0
 
 
 def test_what_robots_send_before_their_first_broadcast_is_refused(
@@ -440,19 +423,6 @@ def test_floors_of_two_seeds_have_no_row_or_column_in_common(built_folder: Path,
 
 
 # --- check_log.py ----------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def check_log() -> ModuleType:
-    """The module check_log.py."""
-    spec = importlib.util.spec_from_file_location("check_log", EXAMPLE / "check_log.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["check_log"] = module  # its dataclasses look for their module there
-    spec.loader.exec_module(module)
-    return module
-
 
 LOG_OF_ONE_BLACK_TILE = """\
 start,7,4080218931,2,1000,2147483648

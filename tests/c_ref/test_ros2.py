@@ -5,10 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import fields
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
@@ -24,21 +21,11 @@ from std_msgs.msg import Bool
 
 from mcp_asdf import Config, Filter, MirrorRobot, Observation
 from mcp_asdf.fixed_point import alpha_word_from_float
-from support import ROOT, version_of_header
+from support import ROOT, load_program, version_of_header
 
 PACKAGE = ROOT / "c_ref/examples/ros2/mcp_asdf_ros"
 ALPHA_100 = alpha_word_from_float(100.0)
 """The confidence 100 as the firmware has it in messages."""
-
-
-def load_program(path: Path) -> ModuleType:
-    """Return a Python file as a module, whatever its name."""
-    loader = SourceFileLoader(path.stem.replace(".", "_"), str(path))
-    spec = spec_from_loader(loader.name, loader)
-    assert spec is not None
-    module = module_from_spec(spec)
-    loader.exec_module(module)
-    return module
 
 
 ROBOT_NODE = load_program(PACKAGE / "scripts/robot_node.py")

@@ -245,7 +245,8 @@ def test_an_observation_that_is_neither_black_nor_white_changes_nothing(
 ) -> None:
     """White is 0 and black is 1. Some numbers, such as 2**32 + 1, would be 0 or 1 if C cut off high bits.
 
-    The method ``observe`` counts an observation; ``step`` also ends the round.
+    The method ``observe`` counts an observation. ``step`` would also end the round, and so change beta, the
+    sum of the confidences that were received in the last round that ended.
     """
     robot = make_robot(firmware, Config(TABLE, Filter.ADAPTIVE, filter_period=1))
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
@@ -257,23 +258,6 @@ def test_an_observation_that_is_neither_black_nor_white_changes_nothing(
 
     assert status == Status.ERR_OBSERVATION
     assert visible_state_without_rejected_count(robot) == state_before
-
-
-# design: R1, R11
-@for_every_firmware
-def test_a_step_with_an_invalid_observation_does_not_end_the_round(firmware: Firmware) -> None:
-    """beta is the sum of the confidences alpha that were received in the last round that ended.
-
-    If the step ended the round, settle() would end another one, without messages and with a beta of 0.
-    """
-    robot = make_robot(firmware, Config(TABLE, Filter.ADAPTIVE, filter_period=1))
-    robot.receive(sender=1, x_hat=0.25, alpha=1.0)
-    neither_black_nor_white: Any = 2
-
-    robot.step(neither_black_nor_white)
-    robot.settle()  # ends the round of the message
-
-    assert robot.beta == 1.0
 
 
 # --- Images ----------------------------------------------------------------------------------------------
@@ -360,62 +344,59 @@ def test_an_image_is_restored_only_with_a_config_that_it_fits(
     assert status == expected_status
 
 
-@for_fixed_point_firmwares
-@pytest.mark.parametrize("mode", [Filter.OFF, Filter.ROBUST])
-def test_the_error_for_an_image_of_an_older_version_names_both_versions(
-    firmware: FixedPointFirmware, mode: Filter
-) -> None:
-    """An image begins with its version, to which 128 is added with the robust filter, and with "SCM"."""
-    version = 2
-    mark_of_robust_filter = 128 if mode == Filter.ROBUST else 0
-    image = bytes([version + mark_of_robust_filter]) + b"SCM" + bytes(120)  # 30 words of 0
+def image_of_version_2(filter_mark: int) -> bytes:
+    """Return 31 words that begin as an image of version 2: its first byte is the version and a mark."""
+    return bytes([2 + filter_mark]) + b"SCM" + bytes(120)
 
-    with pytest.raises(FirmwareError, match="the image is of version 2, and this firmware reads version 3"):
-        firmware.restore(Config(filter=mode), image)
+
+ROBUST_MARK = 128
+"""Bit of an image's first byte with the robust filter."""
+USUAL_IMAGE = image_with_80_observations_and_8_rounds_left(MirrorRobot)
+ROBUST_IMAGE = MirrorRobot(Config(filter=Filter.ROBUST), OWN_ID, b_hat=0.75).save()
+OLDER_VERSION = "the image is of version 2, and this firmware reads version 3"
 
 
 # design: R31
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("saved_with", "restored_with", "expected_message"),
+    ("image", "config", "expected_message"),
     [
-        (Filter.ROBUST, Filter.OFF, "is that of a robot with the robust filter"),
-        (Filter.OFF, Filter.ROBUST, "is that of a robot with a filter other than the robust one"),
+        pytest.param(image_of_version_2(0), FITTING_CONFIG, OLDER_VERSION, id="older version"),
+        pytest.param(
+            image_of_version_2(ROBUST_MARK),
+            Config(filter=Filter.ROBUST),
+            OLDER_VERSION,
+            id="older version with the robust filter",
+        ),
+        pytest.param(
+            ROBUST_IMAGE, FITTING_CONFIG, "is that of a robot with the robust filter", id="robust filter"
+        ),
+        pytest.param(
+            USUAL_IMAGE,
+            Config(filter=Filter.ROBUST),
+            "is that of a robot with a filter other than the robust one",
+            id="no robust filter",
+        ),
+        pytest.param(
+            USUAL_IMAGE[:-1] + bytes([USUAL_IMAGE[-1] ^ 1]),
+            FITTING_CONFIG,
+            "the image is damaged",
+            id="a flipped bit in the checksum at the end",
+        ),
+        pytest.param(
+            USUAL_IMAGE,
+            replace(FITTING_CONFIG, filter_period=7),
+            "does not fit the configuration",
+            id="8 rounds left until a filter runs that runs every 7 rounds",
+        ),
     ],
 )
-def test_the_error_for_an_image_of_another_filter_names_the_filter(
-    firmware: FixedPointFirmware, saved_with: Filter, restored_with: Filter, expected_message: str
+def test_the_error_for_an_image_that_is_refused_says_why(
+    firmware: FixedPointFirmware, image: bytes, config: Config, expected_message: str
 ) -> None:
-    """An image is the bytes of a saved robot. It is longer with the robust filter, and so fits no other."""
-    robot = firmware(Config(filter=saved_with), OWN_ID, b_hat=0.75)
-    image = robot.save()
-
+    """An image is the bytes of a saved robot, which a robot with this config refuses."""
     with pytest.raises(FirmwareError, match=expected_message):
-        firmware.restore(Config(filter=restored_with), image)
-
-
-@for_fixed_point_firmwares
-def test_the_error_for_a_saved_robot_with_a_wrong_bit_says_that_it_is_damaged(
-    firmware: FixedPointFirmware,
-) -> None:
-    """A saved robot ends with a checksum, of which a bit is flipped."""
-    image = bytearray(image_with_80_observations_and_8_rounds_left(firmware))
-    image[-1] ^= 1  # the last byte
-
-    with pytest.raises(FirmwareError, match="the image is damaged"):
-        firmware.restore(FITTING_CONFIG, bytes(image))
-
-
-@for_fixed_point_firmwares
-def test_the_error_for_a_saved_robot_of_other_settings_says_that_it_does_not_fit(
-    firmware: FixedPointFirmware,
-) -> None:
-    """Eight rounds are left until its filter runs. That is impossible if the filter runs every 7 rounds."""
-    image_of_8_rounds_left = image_with_80_observations_and_8_rounds_left(firmware)
-    period_of_7_rounds = replace(FITTING_CONFIG, filter_period=7)
-
-    with pytest.raises(FirmwareError, match="does not fit the configuration"):
-        firmware.restore(period_of_7_rounds, image_of_8_rounds_left)
+        firmware.restore(config, image)
 
 
 def state_or_error(firmware: FixedPointFirmware, config: Config, image: bytes) -> object:

@@ -106,9 +106,10 @@ unit_counts = st.integers(0, 2**26) | st.builds(
 @given(units=unit_counts)
 @example(units=2**54)
 def test_a_confidence_becomes_the_largest_alpha_word_not_above_it(units: int) -> None:
-    """An alpha word is a confidence in 32 bits: a mantissa of 24 bits and a shift. Units are 2**-24.
+    """An alpha word has 32 bits: a mantissa of 24 bits, and a shift of 0 to 31. A unit of a confidence is 2**-24.
 
-    A confidence above the largest alpha word becomes that one.
+    A shift loses low bits, so it is 0 unless the mantissa needs all of its 24 bits. A confidence above the
+    largest alpha word becomes that one.
     """
     word = alpha_word_from_units(units)
 
@@ -117,27 +118,14 @@ def test_a_confidence_becomes_the_largest_alpha_word_not_above_it(units: int) ->
     units_of_next_word = (mantissa + 1) << shift
     units_of_largest_word = (2**24 - 1) << 31  # the largest mantissa and the largest shift
     assert alpha_units(word) == units_of_word
+    assert mantissa < 2**24
+    assert shift <= 31
+    assert shift == 0 or mantissa >= 2**23
     if units < units_of_largest_word:
         assert units_of_word <= units < units_of_next_word
     else:
         assert units_of_word == units_of_largest_word
         assert word == ALPHA_MAX
-
-
-@given(units=unit_counts)
-@example(units=2**54)
-def test_a_confidence_keeps_as_many_bits_as_fit_into_an_alpha_word(units: int) -> None:
-    """An alpha word is a mantissa of 24 bits and a shift in 8 bits, which is 31 at most.
-
-    A shift loses low bits, so it is 0 unless the mantissa needs all of its 24 bits.
-    """
-    word = alpha_word_from_units(units)
-
-    mantissa, shift = word >> 8, word & 0xFF
-    assert mantissa < 2**24
-    assert shift <= 31
-    needs_all_24_bits = mantissa >= 2**23
-    assert shift == 0 or needs_all_24_bits
 
 
 @given(alpha=st.floats(0, 2.0**40))

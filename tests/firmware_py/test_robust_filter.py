@@ -6,7 +6,7 @@ docs/design.md, section 13, specifies it. Slot i keeps the estimate of the sende
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -77,24 +77,16 @@ def test_an_estimate_is_kept_in_the_slot_of_its_sender_modulo_32(
 
 # design: R35
 @for_fixed_point_firmwares
-def test_senders_with_ids_equal_modulo_32_share_a_slot(firmware: FixedPointFirmware) -> None:
-    """The robot remembers only the estimate that it received last from two such neighbours, here 1 and 33."""
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
-
-    robot.receive(sender=1, x_hat=0.25, alpha=1.0)
-    robot.receive(sender=1 + 32, x_hat=0.5, alpha=1.0)
-
-    assert filled_slots(robot) == {1: round(0.5 * 2**16)}
-
-
-@for_fixed_point_firmwares
-def test_a_neighbour_s_newer_estimate_replaces_its_older_one(firmware: FixedPointFirmware) -> None:
-    """A robot keeps the latest estimate of neighbour 1 in slot 1, in units of 2**-16."""
+@pytest.mark.parametrize(
+    "sender", [1, 1 + 32], ids=["the same sender", "a sender with an id equal modulo 32"]
+)
+def test_a_slot_keeps_the_estimate_that_was_received_last(firmware: FixedPointFirmware, sender: int) -> None:
+    """A robot has kept an estimate of neighbour 1 in slot 1, in units of 2**-16, and receives another one."""
     robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     robot.settle()  # ends the round: after it a sender may be received again
 
-    robot.receive(sender=1, x_hat=0.5, alpha=1.0)
+    robot.receive(sender, x_hat=0.5, alpha=1.0)
 
     assert filled_slots(robot) == {1: round(0.5 * 2**16)}
 
@@ -714,7 +706,7 @@ def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_devi
 
 # design: R29
 def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() -> None:
-    """An image, a saved robot, has 39 words of 32 bits. Eight words are this memory (docs/design.md).
+    """An image, a saved robot, has 39 words of 32 bits. Words 7 to 14 are this memory (docs/design.md).
 
     In another order, older images could not be restored. The votes and the dispersion share a word.
     """
@@ -733,54 +725,47 @@ def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() ->
         turn=29,
     )
 
-    image = split_image(robot.save())
+    words = words_of(robot)
 
     shared_word = (dispersion << 16) | votes
-    assert image.filter_words == [21, 22, 23, 24, 25, 26, shared_word, 29]
+    assert words[7:15] == [21, 22, 23, 24, 25, 26, shared_word, 29]
 
 
 # design: R29
 def test_a_saved_robot_begins_with_a_mark_of_the_robust_filter_and_the_version() -> None:
     """The first word is "MCS" and a byte: the version of images, 3, and 128 for the robust filter."""
-    robot = make_robust_robot(MirrorRobot, b_hat=0.95, filter_period=1)
+    robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
 
-    image = split_image(robot.save())
+    first_word, *_ = words_of(robot)
 
-    *letters, filter_and_version = image.first_word.to_bytes(4, "big")
+    *letters, filter_and_version = first_word.to_bytes(4, "big")
     assert bytes(letters) == b"MCS"
     assert filter_and_version == 128 + 3
 
 
-@dataclass(frozen=True)
-class SplitImage:
-    """Words of a saved robot by what they hold: by docs/design.md word 0, words 7 to 14, and 15 to 30."""
-
-    first_word: int
-    filter_words: list[int]
-    estimate_words: list[int]
-
-
-def split_image(image: bytes) -> SplitImage:
-    """Split the bytes of a saved robot with the robust filter; a word has 4 of them, the lowest first."""
-    words = list(struct.unpack("<39I", image))
-    return SplitImage(words[0], filter_words=words[7:15], estimate_words=words[15:31])
+def words_of(robot: MirrorRobot) -> list[int]:
+    """Return the words of a saved robot with the robust filter; a word has 4 bytes, the lowest first."""
+    return list(struct.unpack("<39I", robot.save()))
 
 
 # design: R29
 def test_a_saved_robot_has_the_estimates_of_two_slots_in_each_word() -> None:
-    """A robot has 32 slots for estimates. The lower half of a word has the slot with the lower number."""
-    robot = make_robust_robot(MirrorRobot, b_hat=0.95, filter_period=1)
+    """A robot has 32 slots for estimates, in words 15 to 30 of its image (docs/design.md).
+
+    The lower half of a word has the slot with the lower number.
+    """
+    robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive(sender=0, x_hat=0.25, alpha=1.0)
     robot.receive(sender=1, x_hat=0.5, alpha=1.0)
     robot.receive(sender=2, x_hat=0.75, alpha=1.0)
 
-    image = split_image(robot.save())
+    words = words_of(robot)
 
     quarter, half, three_quarters = 1 << 14, 2 << 14, 3 << 14  # in units of 2**-16
     first_word = (half << 16) | quarter
     second_word = three_quarters  # slot 3 is empty
     fourteen_empty_words = [0] * 14
-    assert image.estimate_words == [first_word, second_word, *fourteen_empty_words]
+    assert words[15:31] == [first_word, second_word, *fourteen_empty_words]
 
 
 def status_of_restoring_with(firmware: FixedPointFirmware, members: dict[str, Any]) -> Status:

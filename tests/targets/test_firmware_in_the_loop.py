@@ -273,14 +273,19 @@ CONVERSATIONS = [
 def test_a_robot_on_a_serial_line_answers_every_line_as_its_model_in_python_does(
     target: str, firmware_filter: Filter, seed: int, build_image: BuildImage
 ) -> None:
-    """The host sends frames, commands, damaged lines and noise. A seed draws them.
+    """The host sends frames, commands, damaged lines and noise. A seed draws them, and many of each.
 
     The robot is the firmware with the port that speaks slcan, the text format of serial CAN adapters. It runs
-    here (target "host") or on an emulated board. ``Model`` is the same program, written again in Python.
+    here (target "host") or on an emulated board. ``Model`` is the same program, written again in Python. A
+    tick is unsettled if the command that ends it gets lost.
     """
     pieces = draw_conversation(random.Random(seed))
     model = Model(firmware_filter)
     expected_answers = [model.answer(piece) for piece in pieces]
+    assert model.dropped > 30, "lines that are neither a frame nor a command"
+    assert model.node.unsettled > 30, "ticks without their end"
+    assert model.node.obeyed > 30, "commands"
+    assert model.node.robot.counters.tests > 0, "runs of the filter"
 
     command = command_of_image(target, build_image(target, firmware_filter))
     # Answers have no end by which they could be read, so as many bytes are read as are expected.
@@ -296,25 +301,6 @@ def test_a_robot_on_a_serial_line_of_this_computer_ends_with_its_input(build_ima
     command = command_of_image("host", build_image("host", Filter.ROBUST))
     talk = talk_to(command, pieces=[b"V\r"], lengths_of_answers=[len(b"V1001\r")])
     assert talk == SerialTalk(answers=[b"V1001\r"], rest=b"", exit_code=0)
-
-
-@pytest.mark.parametrize(("target", "firmware_filter", "seed"), CONVERSATIONS)
-def test_each_conversation_on_a_serial_line_has_many_damaged_lines_and_lost_commands(
-    target: str, firmware_filter: Filter, seed: int
-) -> None:
-    """The test of a robot on a serial line draws the same conversations, so it tries what is rare, too.
-
-    ``Model``, the robot's program in Python, counts it. A tick is unsettled if the command that ends it gets
-    lost.
-    """
-    model = Model(firmware_filter)
-    for piece in draw_conversation(random.Random(seed)):
-        model.answer(piece)
-
-    assert model.dropped > 30, "lines that are neither a frame nor a command"
-    assert model.node.unsettled > 30, "ticks without their end"
-    assert model.node.obeyed > 30, "commands"
-    assert model.node.robot.counters.tests > 0, "runs of the filter"
 
 
 @pytest.mark.parametrize(

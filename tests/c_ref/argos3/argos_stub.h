@@ -12,6 +12,7 @@
 #include <memory>
 #include <random>
 #include <sstream>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -27,14 +28,8 @@ using SInt64 = int64_t;
 
 /* --- Errors ------------------------------------------------------------------------------------------ */
 
-class CARGoSException : public std::exception
-{
-  public:
-    explicit CARGoSException(const std::string &message) : message_(message) {}
-    const char *what() const noexcept override { return message_.c_str(); }
-
-  private:
-    std::string message_;
+struct CARGoSException : std::runtime_error {
+    using std::runtime_error::runtime_error;
 };
 
 /* Like ARGoS's, it finds the exception's name where its user does. */
@@ -63,15 +58,6 @@ template <typename T> void GetNodeAttribute(TConfigurationNode &node, const std:
     }
 }
 
-template <>
-inline void GetNodeAttribute(TConfigurationNode &node, const std::string &name, std::string &value)
-{
-    if (node.find(name) == node.end()) {
-        THROW_ARGOSEXCEPTION("attribute \"" << name << "\" is missing");
-    }
-    value = node[name];
-}
-
 template <typename T>
 void GetNodeAttributeOrDefault(TConfigurationNode &node, const std::string &name, T &value,
                                const T &default_value)
@@ -85,87 +71,56 @@ void GetNodeAttributeOrDefault(TConfigurationNode &node, const std::string &name
 
 /* --- Mathematics ------------------------------------------------------------------------------------- */
 
-class CRadians
-{
-  public:
+struct CRadians {
     static const CRadians ZERO;
     CRadians() = default;
-    explicit CRadians(Real value) : value_(value) {}
-    Real GetValue() const { return value_; }
-    CRadians operator-(const CRadians &other) const { return CRadians(value_ - other.value_); }
-    Real operator/(const CRadians &other) const { return value_ / other.value_; }
-    bool operator<(const CRadians &other) const { return value_ < other.value_; }
-    bool operator>(const CRadians &other) const { return value_ > other.value_; }
-
-  private:
-    Real value_ = 0.0;
+    explicit CRadians(Real radians) : value(radians) {}
+    CRadians operator-(const CRadians &other) const { return CRadians(value - other.value); }
+    Real operator/(const CRadians &other) const { return value / other.value; }
+    bool operator<(const CRadians &other) const { return value < other.value; }
+    bool operator>(const CRadians &other) const { return value > other.value; }
+    Real value = 0.0;
 };
 inline const CRadians CRadians::ZERO;
 
-class CDegrees
-{
-  public:
-    explicit CDegrees(Real value) : value_(value) {}
-    Real GetValue() const { return value_; }
-
-  private:
-    Real value_;
+struct CDegrees {
+    explicit CDegrees(Real degrees) : value(degrees) {}
+    Real value;
 };
 
-inline CRadians ToRadians(const CDegrees &angle) { return CRadians(angle.GetValue() * M_PI / 180.0); }
-inline CRadians Abs(const CRadians &angle) { return CRadians(std::abs(angle.GetValue())); }
+inline CRadians ToRadians(const CDegrees &angle) { return CRadians(angle.value * M_PI / 180.0); }
+inline CRadians Abs(const CRadians &angle) { return CRadians(std::abs(angle.value)); }
 
-class CVector2
-{
-  public:
+struct CVector2 {
     CVector2() = default;
-    CVector2(Real x, Real y) : x_(x), y_(y) {}
+    CVector2(Real first, Real second) : x(first), y(second) {}
     CVector2(Real length, const CRadians &angle)
-        : x_(length * std::cos(angle.GetValue())), y_(length * std::sin(angle.GetValue()))
+        : x(length * std::cos(angle.value)), y(length * std::sin(angle.value))
     {
     }
-    Real GetX() const { return x_; }
-    Real GetY() const { return y_; }
-    Real Length() const { return std::hypot(x_, y_); }
-    CRadians Angle() const { return CRadians(std::atan2(y_, x_)); }
-    CVector2 operator-() const { return CVector2(-x_, -y_); }
-    CVector2 &operator+=(const CVector2 &other)
-    {
-        x_ += other.x_;
-        y_ += other.y_;
-        return *this;
-    }
-
-  private:
-    Real x_ = 0.0;
-    Real y_ = 0.0;
+    Real GetX() const { return x; }
+    Real GetY() const { return y; }
+    Real Length() const { return std::hypot(x, y); }
+    CRadians Angle() const { return CRadians(std::atan2(y, x)); }
+    CVector2 operator-() const { return CVector2(-x, -y); }
+    CVector2 &operator+=(const CVector2 &other) { return *this = CVector2(x + other.x, y + other.y); }
+    Real x = 0.0;
+    Real y = 0.0;
 };
 
-template <typename T> class CRange
-{
-  public:
-    CRange(const T &minimum, const T &maximum) : minimum_(minimum), maximum_(maximum) {}
-    T GetMin() const { return minimum_; }
-    T GetMax() const { return maximum_; }
-
-  private:
-    T minimum_;
-    T maximum_;
+template <typename T> struct CRange {
+    CRange(const T &least, const T &largest) : minimum(least), maximum(largest) {}
+    T minimum;
+    T maximum;
 };
 
-class CRandom
-{
-  public:
-    class CRNG
-    {
-      public:
+struct CRandom {
+    struct CRNG {
         Real Uniform(const CRange<Real> &range)
         {
-            return std::uniform_real_distribution<Real>(range.GetMin(), range.GetMax())(engine_);
+            return std::uniform_real_distribution<Real>(range.minimum, range.maximum)(engine);
         }
-
-      private:
-        std::mt19937_64 engine_{1};
+        std::mt19937_64 engine{1};
     };
 
     /* All robots draw from one generator, as in ARGoS. */
@@ -207,9 +162,7 @@ template <typename T> T &any_cast(CAny &any) { return std::any_cast<T &>(any.con
 /* --- Sensors and actuators --------------------------------------------------------------------------- */
 
 /* A device whose readings the simulator sets. */
-template <typename Reading> class StubSensor
-{
-  public:
+template <typename Reading> struct StubSensor {
     using TReadings = std::vector<Reading>;
     const TReadings &GetReadings() const { return readings; }
     TReadings readings;
@@ -235,9 +188,7 @@ struct SPacket {
 };
 using CCI_RangeAndBearingSensor = StubSensor<SPacket>;
 
-class CCI_RangeAndBearingActuator
-{
-  public:
+struct CCI_RangeAndBearingActuator {
     void SetData(const CByteArray &new_data)
     {
         if (new_data.Size() != data.Size()) {
@@ -249,9 +200,7 @@ class CCI_RangeAndBearingActuator
     CByteArray data;
 };
 
-class CCI_DifferentialSteeringActuator
-{
-  public:
+struct CCI_DifferentialSteeringActuator {
     void SetLinearVelocity(Real left_speed, Real right_speed)
     {
         left = left_speed;
@@ -263,9 +212,7 @@ class CCI_DifferentialSteeringActuator
 
 /* --- Controllers ------------------------------------------------------------------------------------- */
 
-class CCI_Controller
-{
-  public:
+struct CCI_Controller {
     virtual ~CCI_Controller() = default;
     virtual void Init(TConfigurationNode &) {}
     virtual void ControlStep() {}
@@ -286,24 +233,14 @@ class CCI_Controller
     std::map<std::string, std::any> devices;
 };
 
-class CControllableEntity
-{
-  public:
-    explicit CControllableEntity(std::unique_ptr<CCI_Controller> controller)
-        : controller_(std::move(controller))
-    {
-    }
-    CCI_Controller &GetController() { return *controller_; }
-
-  private:
-    std::unique_ptr<CCI_Controller> controller_;
+struct CControllableEntity {
+    CCI_Controller &GetController() { return *controller; }
+    std::unique_ptr<CCI_Controller> controller;
 };
 
 /* --- Simulator --------------------------------------------------------------------------------------- */
 
-class CSpace
-{
-  public:
+struct CSpace {
     using TMapPerType = std::map<std::string, CAny>;
     TMapPerType &GetEntitiesByType(const std::string &type) { return entities.at(type); }
     UInt32 GetSimulationClock() const { return clock; }
@@ -312,9 +249,7 @@ class CSpace
     UInt32 clock = 0;
 };
 
-class CSimulator
-{
-  public:
+struct CSimulator {
     static CSimulator &GetInstance()
     {
         static CSimulator simulator;
@@ -329,9 +264,7 @@ class CSimulator
     CSpace space;
 };
 
-class CLoopFunctions
-{
-  public:
+struct CLoopFunctions {
     virtual ~CLoopFunctions() = default;
     virtual void Init(TConfigurationNode &) {}
     virtual void Reset() {}

@@ -59,7 +59,7 @@ void AddRobots(Robots &robots, std::istream &line)
         };
         controller->Init(parameters);
         const std::string id = controller->id;
-        robot->entity = new CControllableEntity(std::move(controller));
+        robot->entity = new CControllableEntity{std::move(controller)};
         CSimulator::GetInstance().GetSpace().entities["controller"][id].content = robot->entity;
         robots.push_back(std::move(robot));
     }
