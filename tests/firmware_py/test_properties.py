@@ -106,7 +106,7 @@ unit_counts = st.integers(0, 2**26) | st.builds(
 @given(units=unit_counts)
 @example(units=2**54)
 def test_a_confidence_becomes_the_largest_alpha_word_not_above_it(units: int) -> None:
-    """An alpha word has 32 bits: a mantissa of 24 bits, and a shift of 0 to 31. A unit of a confidence is 2**-24.
+    """An alpha word has 32 bits: a mantissa of 24 bits, and a shift of 0 to 31. A unit of alpha is 2**-24.
 
     A shift loses low bits, so it is 0 unless the mantissa needs all of its 24 bits. A confidence above the
     largest alpha word becomes that one.
