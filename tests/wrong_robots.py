@@ -29,6 +29,7 @@ from mcp_asdf_tools.bus.frames import (
     decode_estimate,
 )
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids
+from mcp_asdf_tools.robots.bus_robot import EstimateRows
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
@@ -291,13 +292,25 @@ def round_alpha_to_nearest(frame: can.Message) -> can.Message:
 # --- Overrides of other methods ---
 
 
-def drop_older_transfer_ids(node: Any, usual: Override, estimate: Estimate) -> None:
+def drop_older_transfer_ids(node: Any, usual: Override, frame: can.Message) -> object:
     """Take an estimate only if its transfer_id follows the sender's last one, modulo 32."""
+    estimate = decode_estimate(frame, node.subjects.estimates)
+    if not isinstance(estimate, Estimate):
+        return usual(frame)
     last_ids = vars(node).setdefault("last_ids", {})
     last_id = last_ids.get(estimate.sender, estimate.transfer_id - 1)
-    if (estimate.transfer_id - last_id) % 32 < 16:
-        last_ids[estimate.sender] = estimate.transfer_id
-        usual(estimate)
+    if (estimate.transfer_id - last_id) % 32 >= 16:
+        return []
+    last_ids[estimate.sender] = estimate.transfer_id
+    return usual(frame)
+
+
+def replace_own_id_by_99(estimates: EstimateRows) -> EstimateRows:
+    """Return estimates in which 99 stands for the robot's own id, whose estimates it must refuse."""
+    changed_estimates = estimates.copy()
+    senders = changed_estimates[:, 0]
+    senders[senders == ID] = 99
+    return changed_estimates
 
 
 def buffer_4_commands(node: Any, usual: Override, command: Command) -> list[can.Message]:
@@ -439,7 +452,7 @@ ROBUST_FAULTS_BY_PHASE: dict[str, tuple[str, ...]] = {
 
 WRONG: dict[str, Wrong] = {
     "a buffer of 4 commands": with_node("nothing seen", _follow_command=buffer_4_commands),
-    "drops older transfer ids": with_node("among neighbours", _receive=drop_older_transfer_ids),
+    "drops older transfer ids": with_node("among neighbours", receive_frame=drop_older_transfer_ids),
     "settles in any tick": with_node("stray commands", _follow_command=settle_in_any_tick),
     "stays in a tick": with_node("nothing seen", _follow_command=stay_in_tick),
     # How it is set up
@@ -658,14 +671,9 @@ WRONG: dict[str, Wrong] = {
     "rounds foreign alphas": with_node(
         "nothing seen", receive_frame=with_changed_argument(round_alpha_to_nearest)
     ),
-    "hears itself": with_node(
-        "its own id",
-        _receive=with_changed_argument(
-            lambda estimate: replace(estimate, sender=99) if estimate.sender == ID else estimate
-        ),
-    ),
+    "hears itself": with_node("its own id", receive_all=with_changed_argument(replace_own_id_by_99)),
     "deaf between ticks": with_node(
-        "between ticks", _receive=lambda node, usual, message: None if node.is_settled else usual(message)
+        "between ticks", receive_all=lambda node, usual, rows: None if node.is_settled else usual(rows)
     ),
     **{
         f"accepts frames with {reason.name}": with_node("invalid frames", receive_frame=accepting(reason))

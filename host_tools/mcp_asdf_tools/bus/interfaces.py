@@ -202,7 +202,6 @@ class Connection(can.BusABC):
         """
         self._bus = bus
         self._returns_own = returns_own
-        self._was_undecodable = False
         # can.BusABC sets its filters in its constructor already, through the bus that is wrapped.
         super().__init__(channel=str(bus.channel_info))
         self.channel_info = bus.channel_info
@@ -224,15 +223,23 @@ class Connection(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame that passes the filters; None if none comes within ``timeout`` seconds.
 
-        Without a timeout, None, it waits for ever. Raises BusGoneError if the bus is gone, and another
-        can.CanError if it fails otherwise.
+        Without a timeout, None, it waits for ever. Input that cannot be decoded, or that no CAN controller
+        can have sent, gives an error frame after a short pause. Raises BusGoneError if the bus is gone, and
+        another can.CanError if it fails otherwise.
         """
         deadline = math.inf if timeout is None else time.monotonic() + timeout
         while True:
             seconds_left = deadline - time.monotonic()
             # python-can waits by the time of day, which may be set back: a read waits for a second at most.
             seconds_to_wait = min(max(seconds_left, 0.0), _MAX_SECONDS_PER_READ)
-            frame, has_passed_filters = self._receive(seconds_to_wait)
+            try:
+                frame, has_passed_filters = self._recv_internal(seconds_to_wait)
+                if frame is not None:
+                    _check_can_be_sent(frame)
+            except Exception as error:  # an interface may raise anything
+                self._raise_if_bus_failed(error)
+                time.sleep(_PAUSE_AFTER_FAILURE)  # an interface that always fails would keep the CPU busy
+                return self._create_error_frame(time.time())
             # Some interfaces filter by themselves; for the others it is done here.
             if frame is not None and (has_passed_filters or self._matches_filters(frame)):
                 frame.is_rx = True  # On SocketCAN python-can marks what comes from this computer as sent.
@@ -246,27 +253,6 @@ class Connection(can.BusABC):
         super().shutdown()
         with suppress(Exception):  # an interface may raise anything, and the bus is left in any case
             self._bus.shutdown()
-
-    def _receive(self, timeout: float) -> tuple[can.Message | None, bool]:
-        """Return the next frame, or None after ``timeout`` seconds, and whether it has passed the filters.
-
-        Input that cannot be decoded, or that no CAN controller can have sent, gives an error frame, which
-        passes all filters. If the input before has given one, too, there is a short pause. Raises
-        can.CanError if the bus fails.
-        """
-        try:
-            frame, has_passed_filters = self._recv_internal(timeout)
-            is_undecodable = frame is not None and not _can_be_sent(frame)
-        except Exception as error:  # an interface may raise anything
-            self._raise_if_bus_failed(error)
-            is_undecodable = True
-        was_undecodable = self._was_undecodable
-        self._was_undecodable = is_undecodable
-        if not is_undecodable:
-            return frame, has_passed_filters
-        if was_undecodable:
-            time.sleep(_PAUSE_AFTER_FAILURE)  # an interface that always fails would keep the CPU busy
-        return self._create_error_frame(time.time()), True
 
     def _raise_if_bus_failed(self, error: Exception) -> None:
         """Raise can.CanError if ``error``, which the interface has raised, means that the bus has failed.
@@ -306,21 +292,20 @@ class Connection(can.BusABC):
         self._bus.set_filters(filters)
 
 
-def _can_be_sent(frame: can.Message) -> bool:
-    """Return whether a CAN controller can send ``frame``, by its identifier and its length.
+def _check_can_be_sent(frame: can.Message) -> None:
+    """Raise ValueError if no CAN controller can send ``frame``, by its identifier or its length.
 
     From some damaged input python-can decodes frames that no controller can send.
     """
-    if not 0 <= frame.arbitration_id <= _MAX_EXTENDED_ID:
-        return False
-    if frame.is_error_frame:  # its identifier has bits that describe the error
-        return True
-    has_valid_id = frame.is_extended_id or frame.arbitration_id <= _MAX_STANDARD_ID
+    # Identifier and data of an error frame describe the error: the one has 29 bits, the other any length.
+    is_extended = frame.is_extended_id or frame.is_error_frame
+    has_valid_id = 0 <= frame.arbitration_id <= (_MAX_EXTENDED_ID if is_extended else _MAX_STANDARD_ID)
     # A remote frame states the length of the answer, and has no data itself.
     expected_bytes = 0 if frame.is_remote_frame else frame.dlc
     max_bytes = _MAX_FD_BYTES if frame.is_fd else _MAX_BYTES
     has_valid_length = len(frame.data) == expected_bytes and frame.dlc <= max_bytes
-    return has_valid_id and has_valid_length
+    if not has_valid_id or not (has_valid_length or frame.is_error_frame):
+        raise ValueError("no CAN controller can send this frame")
 
 
 class SerialAdapter(Connection):

@@ -345,7 +345,8 @@ class BusRobot:
         """
         if not self.is_alive:
             return
-        estimates = self._drop_unknown(estimates)
+        if self._is_allowed_by_sender is not None:
+            estimates = self._drop_unknown(estimates, self._is_allowed_by_sender)
         if self.recorder is not None and len(estimates):
             self.recorder.record_estimates(estimates.tolist())
         received_count = len(estimates)
@@ -357,12 +358,10 @@ class BusRobot:
             is_under_own_id = estimates[:, _SENDER_COLUMN] == self.id
             self._count_id_conflicts(int(np.count_nonzero(is_under_own_id)))
 
-    def _drop_unknown(self, estimates: EstimateRows) -> EstimateRows:
+    def _drop_unknown(self, estimates: EstimateRows, is_allowed_by_sender: NDArray[np.bool_]) -> EstimateRows:
         """Return the estimates whose sender is allowed, and count each of the others as the event UNKNOWN."""
-        if self._is_allowed_by_sender is None:  # all senders are allowed
-            return estimates
         senders = estimates[:, _SENDER_COLUMN]
-        is_allowed = self._is_allowed_by_sender[senders]  # of each estimate
+        is_allowed = is_allowed_by_sender[senders]  # of each estimate
         for sender in senders[~is_allowed].tolist():
             self.reception.events[Suspicion.UNKNOWN, sender] += 1
         return estimates[is_allowed]
@@ -390,13 +389,12 @@ class BusRobot:
         elif isinstance(content, Rejection):
             self.reception.rejected[content] += 1
 
-    def count_foreign_frame(self, frame: can.Message) -> None:
-        """Count a frame that no robot of the swarm has sent. The firmware does not get it.
+    def count_foreign_content(self, content: FrameContent) -> None:
+        """Count a frame with this content that no robot of the swarm has sent. The firmware does not get it.
 
         An estimate counts as a stray and, under the robot's own id, also as an id conflict; other frames are
         counted by ``count_content``. A robot that has crashed counts nothing.
         """
-        content = decode_frame(frame, self._estimate_format)
         if not isinstance(content, Estimate):
             self.count_content(content)
         elif self.is_alive:

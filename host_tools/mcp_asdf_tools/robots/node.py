@@ -186,21 +186,24 @@ class RobotNode(BusRobot):
 
         Only commands that the robot follows have answers: one to observe may have a heartbeat and an
         estimate, and one to settle has telemetry. An estimate goes to the robot, and also to the recorder if
-        another node sent it under this robot's id; it counts as suspicious if the sender's confidence jumps.
-        Any other frame is counted as rejected.
+        another node sent it under this robot's id; it counts as suspicious if the sender's confidence jumps
+        (``suspicion.AlphaWatch``). Any other frame is counted as rejected.
         """
         content: Estimate | Command | Rejection = decode_estimate(frame, self.subjects.estimates)
         if content is Rejection.SUBJECT:  # a message, but no estimate
             content = decode_command(frame, self.subjects.commands)
         if isinstance(content, Command):
             return self._follow_command(content)
-        if isinstance(content, Estimate):
-            # A replay knows what the robot has sent itself, but not what another sends under its id.
-            if content.sender == self.id and self.recorder is not None:
-                self.recorder.record_foreign_frame(frame)
-            self._receive(content)
-        else:
+        if isinstance(content, Rejection):
             self.reception.rejected[content] += 1
+            return []
+        # A replay knows what the robot has sent itself, but not what another sends under its id.
+        if content.sender == self.id and self.recorder is not None:
+            self.recorder.record_foreign_frame(frame)
+        # A jump of the sender's confidence is suspicious, but the robot gets the estimate all the same.
+        if self._alpha_watch.is_jump(content.sender, content.alpha):
+            self.reception.events[Suspicion.JUMP, content.sender] += 1
+        self.receive_all(estimate_rows([content]))
         return []
 
     def figures(self) -> dict[str, Any]:
@@ -234,15 +237,6 @@ class RobotNode(BusRobot):
             "id_conflicts": self.reception.id_conflicts,
             "events": events,
         }
-
-    def _receive(self, estimate: Estimate) -> None:
-        """Hand an estimate to the robot, and count it as suspicious if the sender's confidence jumps.
-
-        ``suspicion.AlphaWatch`` defines the jump. A suspicious estimate reaches the robot all the same.
-        """
-        if self._alpha_watch.is_jump(estimate.sender, estimate.alpha):
-            self.reception.events[Suspicion.JUMP, estimate.sender] += 1
-        self.receive_all(estimate_rows([estimate]))
 
     def _follow_command(self, command: Command) -> list[can.Message]:
         """Follow a command, and return the frames that answer it.
@@ -416,7 +410,13 @@ def run_node(
     try:
         for frame in node.start():
             link.send(frame)
-        _follow_commands(node, link, ticks, watch)
+        # A tick that is open is finished first, so that its telemetry is not missing at the end.
+        while not node.is_settled or ticks is None or node.ticks < ticks:
+            received_frame = link.receive(_MAX_WAIT)
+            if received_frame is not None:
+                for answer in node.receive_frame(received_frame):
+                    link.send(answer)
+            watch()
     except (Stopped, KeyboardInterrupt):
         outcome.ending = "stopped"
         outcome.is_interrupted = ticks is not None
@@ -424,21 +424,6 @@ def run_node(
         outcome.ending = f"the bus failed: {error}"
         outcome.has_failed = True
     return outcome
-
-
-def _follow_commands(node: RobotNode, link: BusLink, ticks: int | None, watch: Callable[[], None]) -> None:
-    """Receive frames and send the node's answers until it has done ``ticks`` ticks, or for ever if None.
-
-    ``watch`` is called after each wait for a frame. Raises Stopped if the link is asked to stop, and
-    can.CanError if the bus fails.
-    """
-    # A tick that is open is finished first, so that its telemetry is not missing at the end.
-    while not node.is_settled or ticks is None or node.ticks < ticks:
-        received_frame = link.receive(_MAX_WAIT)
-        if received_frame is not None:
-            for answer in node.receive_frame(received_frame):
-                link.send(answer)
-        watch()
 
 
 def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> None:

@@ -1,7 +1,7 @@
 """Transport of frames from robot to robot, over python-can buses or inside this process.
 
-A ``DeliveryQueue`` decides which robot receives which frame, and when. The ``Carrier`` gets the frames there
-in one of three ways:
+A ``DeliveryQueue`` decides which robot receives which frame, and when. The ``Carrier`` takes the frames of a
+tick from their senders, and gets them to their receivers, in one of three ways:
 
 - Inside this process, where no other program can listen.
 - Over one bus for all robots. The carrier reads back from the bus what robots send. Another program on the
@@ -16,22 +16,21 @@ the same order.
 from __future__ import annotations
 
 import time
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import groupby
+from itertools import compress, groupby
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.frames import Estimate, FrameContent, FrameFormat, decode_frame
-from mcp_asdf_tools.robots.bus_robot import BusRobot, EstimateRows, estimate_rows
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_frame
+from mcp_asdf_tools.robots.bus_robot import BusRobot, estimate_rows
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker, send_all
-from mcp_asdf_tools.swarm.delivery import Deliveries, DeliveryQueue, ReceiverMask, SentFrame
+from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
 
 FRAME_TIMEOUT = 2.0
 """Seconds after which a frame that has not arrived counts as lost."""
@@ -48,6 +47,13 @@ _MAX_FRAMES_IN_ERROR = 8
 
 OpenBus = Callable[[int], can.BusABC]
 """Opens a connection to the bus of a robot, by id."""
+
+
+FrameKey = tuple[int, bytes]
+"""Identifier and data of a frame: a bus preserves both, and they tell frames apart."""
+
+ArrivedFrames = defaultdict[FrameKey, deque[can.Message]]
+"""Frames that have arrived and were expected, in the order of their arrival, by identifier and data."""
 
 
 class SwarmError(RuntimeError):
@@ -105,7 +111,9 @@ class ExpectingConnection:
         """Read until all expected and overdue frames have arrived, and return them as they were received.
 
         Overdue frames come first, then the others in the order of ``expected``, whatever the order in which
-        they arrive. Frames that do not arrive in time count as missed, and are overdue in the next call.
+        they arrive; of frames that are alike, those sent first count as received first. Frames that do not
+        arrive in time count as missed, and are overdue in the next call. Others that arrive meanwhile are
+        reported as unexpected. One frame at least has to be expected.
 
         Args:
             expected: The frames to wait for.
@@ -115,44 +123,31 @@ class ExpectingConnection:
             SwarmError: If ``timeout`` is None, and a frame is missing after FRAME_TIMEOUT seconds.
         """
         awaited = [*self._overdue, *expected]
-        seconds = FRAME_TIMEOUT if timeout is None else timeout
-        received = self._read_awaited(awaited, seconds)
-        missing = [sent_frame for index, sent_frame in enumerate(awaited) if index not in received]
+        missing_counts = Counter(_identifier_and_data(sent_frame.frame) for sent_frame in awaited)
+        arrived: ArrivedFrames = defaultdict(deque)
+        arrived_count = 0
+        for frame in self._frames_within(FRAME_TIMEOUT if timeout is None else timeout):
+            content = _identifier_and_data(frame)
+            if missing_counts[content] == 0:
+                self._on_unexpected(frame)
+                continue
+            missing_counts[content] -= 1
+            arrived[content].append(frame)
+            arrived_count += 1
+            if arrived_count == len(awaited):
+                break
+
+        late, still_overdue = _split_by_arrival(self._overdue, arrived)
+        received, missing = _split_by_arrival(expected, arrived)
+        self._overdue = [*still_overdue, *missing]
+        self.missed_count += len(missing)
         # In lockstep every frame has to arrive, since the run could not be repeated otherwise.
         if missing and timeout is None:
             raise self._loss_error(missing)
-        # An earlier call has counted the overdue frames, which are the first of those awaited.
-        for index in range(len(self._overdue), len(awaited)):
-            if index not in received:
-                self.missed_count += 1
-        self._overdue = missing
-        return [received[index] for index in sorted(received)]
-
-    def _read_awaited(self, awaited: Sequence[SentFrame], seconds: float) -> dict[int, SentFrame]:
-        """Read until all awaited frames have arrived, or the time is over.
-
-        Returns those that have arrived, with the frame as it was received, by their index in ``awaited``.
-        Others that arrive meanwhile are reported as unexpected. Of frames that are alike, those sent first
-        count as received first.
-        """
-        received: dict[int, SentFrame] = {}
-        if not awaited:  # nothing is read then
-            return received
-        missing_indices = _indices_by_content(awaited)
-        for frame in self._frames_within(seconds):
-            # get() does not add an entry for a frame that nobody expects, of which there may be many.
-            indices = missing_indices.get(_identifier_and_data(frame))
-            if not indices:
-                self._on_unexpected(frame)
-                continue
-            index = indices.popleft()
-            received[index] = replace(awaited[index], frame=frame)
-            if len(received) == len(awaited):
-                break
-        return received
+        return [*late, *received]
 
     def _frames_within(self, seconds: float) -> Iterator[can.Message]:
-        """Yield frames as they arrive, until the time is over.
+        """Report frames to ``on_frame`` and yield them as they arrive, until the time is over.
 
         Then up to _MAX_READS_AFTER_DEADLINE frames that wait in the receive buffer are still read.
         """
@@ -162,9 +157,10 @@ class ExpectingConnection:
             seconds_left = max(0.0, deadline - time.monotonic())
             if seconds_left == 0.0:
                 reads_after_deadline += 1
-            frame = self._read_frame(seconds_left)
+            frame = self.bus.recv(seconds_left)
             if frame is None:
                 return
+            self._on_frame(frame)
             yield frame
 
     def discard_echoes(self) -> None:
@@ -173,16 +169,9 @@ class ExpectingConnection:
         If there is another frame behind the echoes, it is reported as unexpected.
         """
         # One read is enough: it skips all echoes that are ahead of another frame or of the buffer's end.
-        frame = self._read_frame(timeout=0)
+        frame = next(self._frames_within(0), None)
         if frame is not None:
             self._on_unexpected(frame)
-
-    def _read_frame(self, timeout: float) -> can.Message | None:
-        """Return the next frame, reported to ``on_frame``; None if there is none in time."""
-        frame = self.bus.recv(timeout)
-        if frame is not None:
-            self._on_frame(frame)
-        return frame
 
     def _loss_error(self, missing: Sequence[SentFrame]) -> SwarmError:
         """Return an error that names some of the missing frames, each identifier once."""
@@ -200,21 +189,32 @@ class ExpectingConnection:
         )
 
 
-def _identifier_and_data(frame: can.Message) -> tuple[int, bytes]:
-    """Return the identifier and the data: a bus preserves both, and they tell frames apart."""
+def _identifier_and_data(frame: can.Message) -> FrameKey:
+    """Return the identifier and the data of a frame."""
     return frame.arbitration_id, bytes(frame.data)
 
 
-def _indices_by_content(sent_frames: Sequence[SentFrame]) -> defaultdict[tuple[int, bytes], deque[int]]:
-    """Return the indices of frames, in rising order, by the identifier and data that they have."""
-    indices: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
-    for index, sent_frame in enumerate(sent_frames):
-        indices[_identifier_and_data(sent_frame.frame)].append(index)
-    return indices
+def _split_by_arrival(
+    sent_frames: Sequence[SentFrame], arrived: ArrivedFrames
+) -> tuple[list[SentFrame], list[SentFrame]]:
+    """Return the frames that have arrived, as they were received, and those that have not; both in order.
+
+    Frames that have arrived are taken out of ``arrived``. Of frames that are alike, the first count as those
+    that have arrived.
+    """
+    received: list[SentFrame] = []
+    missing: list[SentFrame] = []
+    for sent_frame in sent_frames:
+        frames = arrived[_identifier_and_data(sent_frame.frame)]
+        if frames:
+            received.append(replace(sent_frame, frame=frames.popleft()))
+        else:
+            missing.append(sent_frame)
+    return received, missing
 
 
 class Carrier:
-    """Transport of the frames of a swarm: in each tick ``send`` for every frame, then ``deliver``.
+    """Transport of the frames of a swarm: in each tick ``send``, then ``deliver``.
 
     Attributes:
         bus_connections: The connection over which the carrier reads and writes on the bus of each robot, by
@@ -222,23 +222,17 @@ class Carrier:
     """
 
     def __init__(
-        self,
-        robots: Iterable[BusRobot],
-        delivery_queue: DeliveryQueue,
-        frame_format: FrameFormat,
-        clock: RealTimeClock | None,
+        self, robots: Iterable[BusRobot], frame_format: FrameFormat, clock: RealTimeClock | None
     ) -> None:
         """Create a carrier without a bus.
 
         Args:
             robots: The robots between which it carries frames, by rising id.
-            delivery_queue: Decides which robot receives which frame, and when.
             frame_format: Format of the robots' estimates.
             clock: Limits how long a tick waits for frames; without a clock it waits for all of them.
         """
         self.bus_connections: dict[int, ExpectingConnection] = {}
         self._robots = {robot.id: robot for robot in robots}
-        self._delivery_queue = delivery_queue
         self._frame_format = frame_format
         self._clock = clock
         self._on_frame_without_bus: FrameTaker = lambda frame: None
@@ -246,10 +240,6 @@ class Carrier:
         self._has_bus_per_robot = False
         self._robot_connections: dict[int, ExpectingConnection] = {}
         """The connections of robots in this process, by id: on a shared bus the carrier's."""
-        self._frames_to_read_back: list[SentFrame] = []
-        """Frames of this tick that are on their buses, and that the carrier has not read yet."""
-        self._frames_read_back: list[SentFrame] = []
-        """Frames of this tick that the carrier has read."""
         self._open_buses = ExitStack()
 
     def join(self, wiring: Wiring, on_frame: FrameTaker) -> None:
@@ -311,139 +301,97 @@ class Carrier:
 
     def _count_foreign_frame(self, robots: Sequence[int], frame: can.Message) -> None:
         """Let robots count a frame from outside the swarm."""
+        content = decode_frame(frame, self._frame_format)
         for robot in robots:
-            self._robots[robot].count_foreign_frame(frame)
+            self._robots[robot].count_foreign_content(content)
 
-    def send(self, sent_frame: SentFrame) -> None:
-        """Put a frame on the bus of its sender, unless the sender is remote and has done so itself.
+    def send(self, sent_frames: Iterable[SentFrame], tick: int) -> list[SentFrame]:
+        """Put the frames of a tick on the buses of their senders, and return them as the carrier reads them.
 
-        Each time that _BATCH_SIZE frames are on the buses, the carrier reads them back, before receive
-        buffers overflow; ``deliver`` reads the others. Raises can.CanError if the bus does not take the
-        frame, and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
+        They keep their order. Late ones are missing, and follow in a later call. A remote sender has sent its
+        frames itself, and its driver has read them: they are returned as they are, as all frames are without
+        a bus. Raises can.CanError if a bus does not take a frame, and SwarmError if a frame is lost in a
+        swarm without a clock, where none may be missing.
         """
-        # With a bus this does nothing: a frame on a bus is reported when the carrier reads it.
-        self._on_frame_without_bus(sent_frame.frame)
-        # There is no connection without a bus, and none for a remote sender.
-        robot_connection = self._robot_connections.get(sent_frame.sender)
-        if robot_connection is not None:
-            send_all(robot_connection.bus, [sent_frame.frame], FRAME_TIMEOUT)
-        self._frames_to_read_back.append(sent_frame)
-        if len(self._frames_to_read_back) == _BATCH_SIZE:
-            self._read_back(sent_frame.tick)  # which empties ``_frames_to_read_back``
+        frames_on_buses: list[SentFrame] = []
+        # Frames that follow each other on one bus are sent together; the order of all frames is kept.
+        for robot_connection, group in groupby(sent_frames, self._connection_of_sender):
+            frames = list(group)
             if robot_connection is not None:
-                # What the robot sent may fill the receive buffer of its own connection, too.
-                robot_connection.discard_echoes()
-
-    def _read_back(self, tick: int) -> None:
-        """Read the frames that are on the buses, and keep them in the order in which they were sent.
-
-        The attribute ``_frames_read_back`` gets them. Frames that are late are left out, and follow in a
-        later call. Raises SwarmError if a frame is lost in a swarm without a clock, where none may be
-        missing.
-        """
-        frames_to_read_back = self._frames_to_read_back
-        self._frames_to_read_back = []
-        # Frames that follow each other on one bus are awaited together; the order of all frames is kept.
-        for connection, frames in groupby(frames_to_read_back, self._connection_to_read):
-            if connection is None:
-                self._frames_read_back += frames  # there is nothing to read: these count as read
+                carrier_connection = self.bus_connections[frames[0].sender]
+                frames = self._pass_over_bus(frames, robot_connection, carrier_connection, tick)
             else:
-                self._frames_read_back += connection.receive_expected(list(frames), self._timeout(tick))
+                for sent_frame in frames:
+                    self._on_frame_without_bus(sent_frame.frame)
+            frames_on_buses += frames
+        return frames_on_buses
 
-    def _connection_to_read(self, sent_frame: SentFrame) -> ExpectingConnection | None:
-        """Return where the carrier has to read a frame; None without a bus, or if it has read it already."""
-        is_sent_from_here = sent_frame.sender in self._robot_connections
-        if not is_sent_from_here:
-            # There is no bus, or the sender is remote: then its driver has read the frame already.
-            return None
-        return self.bus_connections[sent_frame.sender]
+    def _connection_of_sender(self, sent_frame: SentFrame) -> ExpectingConnection | None:
+        """Return the connection of the robot that sends a frame; None without a bus, and if it is remote."""
+        return self._robot_connections.get(sent_frame.sender)
 
-    def _timeout(self, tick: int) -> float | None:
-        """Return how many seconds to wait for frames of this tick; None if all must arrive."""
-        return None if self._clock is None else self._clock.seconds_left_to_receive(tick)
+    def _pass_over_bus(
+        self,
+        sent_frames: Sequence[SentFrame],
+        source: ExpectingConnection,
+        target: ExpectingConnection,
+        tick: int,
+    ) -> list[SentFrame]:
+        """Write frames over one connection to a bus, and return those that are read over another one.
 
-    def deliver(self, tick: int) -> Deliveries:
-        """Let each robot receive its frames of this tick, after all have been sent; returns the deliveries.
-
-        Which frames these are decides the delivery queue. A robot with a bus of its own receives them there,
-        other robots get them inside this process. Raises can.CanError if a bus does not take a frame, and
-        SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
+        Late ones are missing, and follow in a later call. Both connections may be the same. Raises
+        can.CanError if the bus does not take a frame, and SwarmError if a frame is lost in a swarm without a
+        clock, where none may be missing.
         """
-        self._read_back(tick)
-        # Now all frames of this tick are read back: some were by ``send``, and this has read the others.
-        frames_of_tick = self._frames_read_back
-        self._frames_read_back = []
-        deliveries = self._delivery_queue.deliver(tick, frames_of_tick)
-        if self._has_bus_per_robot:
-            self._deliver_over_buses(deliveries, tick)
-        else:
-            self._deliver_in_process(deliveries)
-        return deliveries
-
-    def _deliver_over_buses(self, deliveries: Deliveries, tick: int) -> None:
-        """Pass to each robot the frames that it receives in this tick, over a bus of its own.
-
-        Raises can.CanError and SwarmError as ``deliver`` says.
-        """
-        for robot_id, robot in self._robots.items():
-            sent_frames = deliveries.frames_for(robot_id)
-            # In batches, so that the frames for one robot fit into the receive buffer of its connection.
-            for start in range(0, len(sent_frames), _BATCH_SIZE):
-                batch = sent_frames[start : start + _BATCH_SIZE]
-                received = self._pass_over_bus(robot_id, batch, tick)
-                robot.receive_frames([sent_frame.frame for sent_frame in received])
-
-    def _pass_over_bus(self, robot: int, batch: Sequence[SentFrame], tick: int) -> Sequence[SentFrame]:
-        """Write frames on the bus of a robot, and return those that the robot's connection reads there.
-
-        Late ones are missing, and follow in a later call. A remote robot reads for itself: for its
-        counterpart in this process the whole batch is returned. After a full batch the carrier's receive
-        buffer is emptied of the echoes of these frames. Raises can.CanError if the bus does not take a frame,
-        and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
-        """
-        carrier_connection = self.bus_connections[robot]
-        frames = [sent_frame.frame for sent_frame in batch]
-        send_all(carrier_connection.bus, frames, FRAME_TIMEOUT)
-        robot_connection = self._robot_connections.get(robot)
-        if robot_connection is None:  # the robot is remote
-            return batch
-        received = robot_connection.receive_expected(batch, self._timeout(tick))
-        is_full_batch = len(batch) == _BATCH_SIZE
-        if is_full_batch:
-            # Fewer echoes do no harm: the carrier skips them when it reads there next.
-            carrier_connection.discard_echoes()
+        received: list[SentFrame] = []
+        # In batches, so that they fit into receive buffers.
+        for start in range(0, len(sent_frames), _BATCH_SIZE):
+            batch = sent_frames[start : start + _BATCH_SIZE]
+            send_all(source.bus, [sent_frame.frame for sent_frame in batch], FRAME_TIMEOUT)
+            timeout = None if self._clock is None else self._clock.seconds_left_to_receive(tick)
+            received += target.receive_expected(batch, timeout)
+            if len(batch) == _BATCH_SIZE:
+                # Fewer echoes do no harm in the buffer of the source, which skips them when it reads next.
+                source.discard_echoes()
         return received
 
-    def _deliver_in_process(self, deliveries: Deliveries) -> None:
-        """Hand each robot its estimates in one array, and then let it count its other frames.
+    def deliver(self, deliveries: Deliveries, tick: int) -> None:
+        """Let each robot receive its frames of this tick: its estimates in one array, then its other frames.
 
-        A frame is decoded once, however many robots receive it.
+        A robot with a bus of its own receives them there, and late ones in a later call. Other robots get
+        them inside this process, where a frame is decoded once, however many robots receive it. Raises
+        can.CanError if a bus does not take a frame, and SwarmError if a frame is lost in a swarm without a
+        clock, where none may be missing.
         """
+        if self._has_bus_per_robot:
+            self._deliver_over_buses(deliveries, tick)
+            return
         contents = [
             decode_frame(sent_frame.frame, self._frame_format) for sent_frame in deliveries.sent_frames
         ]
         is_estimate = np.array([isinstance(content, Estimate) for content in contents], np.bool_)
-        self._hand_over_estimates(estimate_rows(contents), deliveries.receivers[is_estimate])
-        # The others, such as heartbeats, are few, so that they are handed over one by one.
-        indices_of_others = np.flatnonzero(~is_estimate).tolist()
-        for index in indices_of_others:
-            self._count_content(contents[index], deliveries.receivers[index])
-
-    def _hand_over_estimates(self, estimates: EstimateRows, receivers: ReceiverMask) -> None:
-        """Let each robot receive its estimates; row k of ``receivers`` says which robots get estimate k."""
+        estimates = estimate_rows(contents)
+        receivers_of_estimates = deliveries.receivers[is_estimate]
+        # The others, such as heartbeats, are few.
+        others = [content for content in contents if not isinstance(content, Estimate)]
+        receivers_of_others = deliveries.receivers[~is_estimate]
         for robot in self._robots.values():
-            is_received = receivers[:, robot.id]
-            robot.receive_all(estimates[is_received])
-
-    def _count_content(self, content: FrameContent, is_receiver: NDArray[np.bool_]) -> None:
-        """Let the receivers of a frame count its content.
-
-        Robot i is a receiver if entry i of ``is_receiver`` is true.
-        """
-        is_receiver_by_id = is_receiver.tolist()  # which takes less time than to index the array
-        for robot in self._robots.values():
-            if is_receiver_by_id[robot.id]:
+            robot.receive_all(estimates[receivers_of_estimates[:, robot.id]])
+            for content in compress(others, receivers_of_others[:, robot.id].tolist()):
                 robot.count_content(content)
+
+    def _deliver_over_buses(self, deliveries: Deliveries, tick: int) -> None:
+        """Let each robot receive its frames of this tick over its own bus. Raises what ``deliver`` raises."""
+        for robot_id, robot in self._robots.items():
+            frames = deliveries.frames_for(robot_id)
+            carrier_connection = self.bus_connections[robot_id]
+            robot_connection = self._robot_connections.get(robot_id)
+            if robot_connection is not None:
+                frames = self._pass_over_bus(frames, carrier_connection, robot_connection, tick)
+            else:
+                # A remote robot reads for itself: its counterpart in this process gets what was sent.
+                send_all(carrier_connection.bus, [sent_frame.frame for sent_frame in frames], FRAME_TIMEOUT)
+            robot.receive_frames([sent_frame.frame for sent_frame in frames])
 
     @property
     def missed_count(self) -> int:

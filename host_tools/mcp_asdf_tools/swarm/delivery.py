@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -99,8 +99,8 @@ class DeliveryQueue:
         self.delivered_count = 0
         self._current_neighbours = current_neighbours
         self._apply_link_faults = apply_link_faults
-        self._has_latency = latency > 0
-        self._frames_of_last_tick: Sequence[SentFrame] = ()
+        self._frames_by_tick: deque[Sequence[SentFrame]] = deque([()] * latency)
+        """Frames that wait for the latency to pass, by the tick in which they were sent."""
         self._pending: defaultdict[int, list[Deliveries]] = defaultdict(list)
         """Deliveries by the tick in which they arrive."""
 
@@ -112,8 +112,11 @@ class DeliveryQueue:
         ``delivered_count`` grow by one for each frame and robot. Call this once per tick, in order.
         O(faults frames robots).
         """
-        arriving_frames = self._exchange_for_arriving(sent_frames)
-        in_range = self._robots_in_range(arriving_frames)
+        self._frames_by_tick.append(sent_frames)
+        arriving_frames = self._frames_by_tick.popleft()
+        senders = np.array([sent_frame.sender for sent_frame in arriving_frames], np.intp)
+        receivers_by_sender = self._current_neighbours().T  # row j: whether each robot receives from j
+        in_range = receivers_by_sender[senders]
         self.in_range_count += int(np.count_nonzero(in_range))
         # Faults may delay frames: everything goes through the queue, also what arrives in this tick.
         for deliveries in self._apply_link_faults(arriving_frames, in_range):
@@ -123,20 +126,6 @@ class DeliveryQueue:
         arriving_now = _concatenate(self._pending.pop(tick, []), robot_count)
         self.delivered_count += int(np.count_nonzero(arriving_now.receivers))
         return arriving_now
-
-    def _robots_in_range(self, sent_frames: Sequence[SentFrame]) -> ReceiverMask:
-        """Return a mask that says which robots are at present in range of the sender of each frame."""
-        senders = np.array([sent_frame.sender for sent_frame in sent_frames], np.intp)
-        receivers_by_sender = self._current_neighbours().T  # row j: whether each robot receives from j
-        return receivers_by_sender[senders]
-
-    def _exchange_for_arriving(self, sent_frames: Sequence[SentFrame]) -> Sequence[SentFrame]:
-        """Return ``sent_frames``; with latency keep them for the next tick, and return those of the last."""
-        if not self._has_latency:
-            return sent_frames
-        frames_of_last_tick = self._frames_of_last_tick
-        self._frames_of_last_tick = sent_frames
-        return frames_of_last_tick
 
 
 def _concatenate(all_deliveries: Sequence[Deliveries], robot_count: int) -> Deliveries:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import can
 
 from mcp_asdf.robot import Counters, Observation
-from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE, UPDATE_COUNT_MODULUS
+from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE, UPDATE_COUNT_MODULUS, Rejection
 from mcp_asdf_tools.bus.frames import (
     Estimate,
     FrameFormat,
@@ -253,7 +253,7 @@ class Driver:
         self._on_frame(frame)
         if frame.is_error_frame:  # its identifier describes the error, and has no sender
             for node in self.nodes.values():
-                node.count_foreign_frame(frame)
+                node.count_content(Rejection.ERROR_FRAME)
             return
         sender = sender_of(frame)
         if sender not in self.nodes or isinstance(decode_telemetry(frame), Telemetry):

@@ -117,15 +117,15 @@ class Swarm:
 
         self._alive_nodes: list[BusRobot] = []
         """The local robots that take part in the present tick."""
-        self._frames_of_tick: list[can.Message] = []
-        """Frames that got onto the bus in the present tick."""
+        self._sent_frames: list[SentFrame] = []
+        """Frames that robots send in the present tick, after the faults of their senders."""
         self.traffic = Traffic([node.reception for node in self.nodes])
 
         # The transport of frames
         self._delivery_queue = DeliveryQueue(
             self._current_neighbours, self.faults.on_delivery, settings.latency
         )
-        self._carrier = Carrier(self.nodes, self._delivery_queue, settings.frames, self.clock)
+        self._carrier = Carrier(self.nodes, settings.frames, self.clock)
         self._drivers = self._open_buses(wiring, on_frame)
 
     def _open_buses(self, wiring: Wiring, on_frame: FrameTaker | None) -> list[Driver]:
@@ -199,13 +199,13 @@ class Swarm:
         self.finish_tick()
 
     def begin_tick(self) -> dict[int, Observation | None]:
-        """Let all robots observe and send, and return the observations of this tick by id.
+        """Let all robots observe and broadcast, and return the observations of this tick by id.
 
         An external robot, whose frames come from outside, has its observation in the result but does not send
         here. An observation is None if the robot has none in this tick. Faults may crash robots, and drop,
-        change or add frames; traffic is counted. Raises SwarmError if the bus loses a frame in lockstep,
-        LockstepError if a remote robot does not answer, and can.CanError if the bus does not take a frame.
-        The swarm cannot go on after these.
+        change or add frames. The frames wait for ``finish_tick``; only remote robots send theirs now. Raises
+        LockstepError if a remote robot does not answer, and can.CanError if the bus does not take the
+        commands. The swarm cannot go on after these.
         """
         if self.clock is not None:
             self.clock.wait_for_tick(self.ticks)
@@ -217,7 +217,7 @@ class Swarm:
         # To the robust filter the order of estimates matters: by rising id, wherever the robots run.
         estimates.sort(key=_sender_id)
 
-        self._frames_of_tick = []
+        self._sent_frames = []
         self._send_extra_frames(before_others=True)
         for node, frame in [*reports, *estimates]:
             self._send(node, frame)
@@ -225,24 +225,36 @@ class Swarm:
         return observations
 
     def finish_tick(self, external_frames: Sequence[can.Message] = ()) -> list[can.Message]:
-        """Let all robots receive and end the tick, and return the frames that an external robot receives.
+        """Let all robots send, receive and end the tick; return the frames that an external robot receives.
 
         The result is empty if no robot is external. ``external_frames`` are those that it has sent. Traffic
         is counted. Raises SwarmError if the bus loses a frame in lockstep, LockstepError if a remote robot
         does not answer, and can.CanError if the bus does not take a frame. O(robots**2).
         """
-        for index, frame in enumerate(external_frames):
-            assert self._external_robot is not None  # nobody else has external frames
-            # The frame has been on a bus: faults of senders cannot change it any more. Its index serves as
-            # the repetition, so that faults of links draw different random words for each frame.
-            self._carrier.send(SentFrame(frame, self._external_robot, self.ticks, repetition=index))
-        deliveries = self._carrier.deliver(self.ticks)
+        sent_frames = [*self._sent_frames, *self._frames_of_external_robot(external_frames)]
+        frames_on_buses = self._carrier.send(sent_frames, self.ticks)
+        deliveries = self._delivery_queue.deliver(self.ticks, frames_on_buses)
+        self._carrier.deliver(deliveries, self.ticks)
         self._settle()
         self.ticks += 1
         self._count_traffic()
         if self._external_robot is None:
             return []
         return [sent_frame.frame for sent_frame in deliveries.frames_for(self._external_robot)]
+
+    def _frames_of_external_robot(self, frames: Sequence[can.Message]) -> list[SentFrame]:
+        """Return frames that the external robot has sent in this tick, each with its sender and its number.
+
+        They have been on a bus, so that faults of senders cannot change them any more.
+        """
+        if not frames:
+            return []
+        assert self._external_robot is not None  # nobody else has external frames
+        # The index is the repetition, so that faults of links draw different random words for each frame.
+        return [
+            SentFrame(frame, self._external_robot, self.ticks, repetition=index)
+            for index, frame in enumerate(frames)
+        ]
 
     def _settle(self) -> None:
         """Let the robots that take part in the tick end it. Raises errors as ``finish_tick`` says."""
@@ -253,7 +265,7 @@ class Swarm:
 
     def _count_traffic(self) -> None:
         """Count the frames of this tick, and take over the counts of the queue and the carrier so far."""
-        self.traffic.add(self._frames_of_tick)
+        self.traffic.add([sent_frame.frame for sent_frame in self._sent_frames])
         self.traffic.in_range = self._delivery_queue.in_range_count
         self.traffic.arrived = self._delivery_queue.delivered_count
         self.traffic.missed = self._carrier.missed_count
@@ -338,12 +350,7 @@ class Swarm:
         if self._events_writer is not None and node.id not in self.remote_robots:
             self._record_changes(self._events_writer, node.id, frame, sent_frame)
         if sent_frame is not None:
-            self._put_on_bus(sent_frame)
-
-    def _put_on_bus(self, sent_frame: SentFrame) -> None:
-        """Let the carrier send a frame, and count it as a frame of this tick."""
-        self._carrier.send(sent_frame)
-        self._frames_of_tick.append(sent_frame.frame)
+            self._sent_frames.append(sent_frame)
 
     def _record_changes(
         self, events_writer: EventsWriter, robot: int, frame: can.Message, sent_frame: SentFrame | None
@@ -380,7 +387,7 @@ class Swarm:
                     continue
                 if self._events_writer is not None and node.id not in self.remote_robots:
                     self._events_writer.record_injected_frame(sent_frame.frame)
-                self._put_on_bus(sent_frame)
+                self._sent_frames.append(sent_frame)
 
     def _current_neighbours(self) -> NDArray[np.bool_]:
         """Return a matrix whose entry (i, j) is whether robot i receives from robot j at present, by ids."""

@@ -215,17 +215,17 @@ def test_a_decoding_error_of_a_bus_that_is_closed_is_reported_as_a_bus_that_is_g
         connection.recv(timeout=0)
 
 
-def test_a_connection_pauses_between_failures_of_an_interface_that_always_fails(
+def test_a_connection_pauses_after_each_failure_of_an_interface_that_always_fails(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Between ten failures there are nine pauses of 1 ms, so that the processor is not kept busy."""
+    """After each of ten failures there is a pause of 1 ms, so that the processor is not kept busy."""
     seconds_of_pauses: list[float] = []
     monkeypatch.setattr("mcp_asdf_tools.bus.interfaces.time.sleep", seconds_of_pauses.append)
     connection = failing_connection(IndexError("raised by the driver at each call"))
     for _ in range(10):
         connection.recv(timeout=0)
 
-    assert seconds_of_pauses == [0.001] * 9
+    assert seconds_of_pauses == [0.001] * 10
 
 
 # Commands

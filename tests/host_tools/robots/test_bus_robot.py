@@ -156,7 +156,7 @@ def test_a_robot_that_has_crashed_receives_nothing() -> None:
     robot.crash(loses_state=False)
     for content in (ESTIMATE_OF_6, ESTIMATE_OF_5, HEARTBEAT_OF_8):
         robot.receive_frames([encoded(content)])
-        robot.count_foreign_frame(encoded(content))
+        robot.count_foreign_content(content)
 
     nothing_received = Reception()
     assert robot.reception == nothing_received
