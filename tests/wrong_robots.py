@@ -584,7 +584,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "eq. 8 never shifts up": with_firmware(
         "few observations",
-        "denominator.bit_length() - 32{ => \n    if shift < 0:\n"
+        "denominator.bit_length() - 32{ => \n    if dropped_bits < 0:\n"
         "        return (numerator << 16) // denominator << 16}",
     ),
     "t of 14 bits in eq. 8": with_firmware(

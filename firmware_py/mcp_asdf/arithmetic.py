@@ -35,15 +35,15 @@ def q32_quotient(numerator: int, denominator: int) -> int:
     """Return numerator / denominator in units of 2**-32, or a little less, with the bits that the C computes.
 
     In C this is ``quotient``. It keeps the upper 32 bits of the denominator, and drops as many lower bits of
-    the numerator. It divides by the next even number above them, so that the quotient is never too large.
+    the numerator. To a denominator of fewer bits, and to its numerator, it first appends 32 zeros. It divides
+    by the next even number above the denominator, so that the quotient is never too large.
     """
-    shift = denominator.bit_length() - 32  # number of lower bits that are dropped
-    if shift < 0:
-        # A short denominator is made longer, so that the shift is not negative.
+    dropped_bits = denominator.bit_length() - 32
+    if dropped_bits < 0:
         numerator <<= 32
         denominator <<= 32
-        shift += 32
-    upper_numerator = numerator >> shift
-    upper_denominator = denominator >> shift
+        dropped_bits += 32
+    upper_numerator = numerator >> dropped_bits
+    upper_denominator = denominator >> dropped_bits
     next_even_number = (upper_denominator // 2 + 1) * 2
-    return (upper_numerator << 32) // next_even_number
+    return (upper_numerator << 32) // next_even_number  # 32 more bits, for units of 2**-32

@@ -719,7 +719,7 @@ class MirrorRobot(FixedPointView):
         """
         s = self.s
         robust = s.robust
-        end_batch(robust, s.t, s.n)
+        end_batch(robust, s.t, s.n)  # updates the dispersion
         estimates = sorted_estimates(robust, s.estimates)
         if len(estimates) < TESTED_ESTIMATES_MIN:
             return None

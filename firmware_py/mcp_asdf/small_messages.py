@@ -67,9 +67,10 @@ def _long_code(units: int) -> int:
     if exponent == 0:
         return units
     if exponent > _EXPONENT_MAX:
-        return (1 << MAX_ALPHA_BITS) - 1
-    # A number with exponent 1 has 21 bits, and one bit more for each higher exponent.
-    significand = units >> (exponent - 1)  # 21 bits
+        return (1 << MAX_ALPHA_BITS) - 1  # the largest code of 25 bits
+    # With exponent 1 there are 21 bits, and with each higher exponent one bit more, which does not fit.
+    bits_too_many = exponent - 1
+    significand = units >> bits_too_many  # 21 bits
     fraction = significand - _FRACTIONS  # without the highest bit, which is always set and not stored
     return exponent * _FRACTIONS + fraction  # _FRACTIONS is 2**20
 

@@ -22,8 +22,7 @@ bool radiolinkSendP2PPacketBroadcast(P2PPacket *packet)
 
 void air_deliver(const uint8_t *data, int length)
 {
-    P2PPacket packet = {.size = (uint8_t)length, .rssi = 40};
-    packet.port = air_port;
+    P2PPacket packet = {.size = (uint8_t)length, .port = air_port};
     memcpy(packet.data, data, packet.size);
     receive_callback(&packet);
 }

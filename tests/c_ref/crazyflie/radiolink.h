@@ -9,15 +9,9 @@
 
 typedef struct {
     uint8_t size;
-    uint8_t rssi;
-    __extension__ union {
-        __extension__ struct {
-            uint8_t port;
-            uint8_t data[P2P_MAX_DATA_SIZE];
-        };
-        uint8_t raw[P2P_MAX_DATA_SIZE + 1];
-    };
-} __attribute__((packed)) P2PPacket;
+    uint8_t port;
+    uint8_t data[P2P_MAX_DATA_SIZE];
+} P2PPacket;
 
 typedef void (*P2PCallback)(P2PPacket *packet);
 

@@ -43,6 +43,6 @@ esp_err_t esp_now_send(const uint8_t *address, const uint8_t *data, size_t lengt
 
 void air_deliver(const uint8_t *data, int length)
 {
-    const esp_now_recv_info_t info = {NULL, NULL, NULL};
+    const esp_now_recv_info_t info = {NULL};
     receive_callback(&info, data, length);
 }

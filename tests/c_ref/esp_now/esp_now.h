@@ -18,23 +18,16 @@ typedef int esp_err_t;
     } while (false)
 
 #define ESP_NOW_ETH_ALEN 6
-#define ESP_NOW_KEY_LEN 16
 
 typedef enum { WIFI_IF_STA, WIFI_IF_AP } wifi_interface_t;
 
 typedef struct {
     uint8_t peer_addr[ESP_NOW_ETH_ALEN];
-    uint8_t lmk[ESP_NOW_KEY_LEN];
-    uint8_t channel;
     wifi_interface_t ifidx;
-    bool encrypt;
-    void *priv;
 } esp_now_peer_info_t;
 
 typedef struct {
     uint8_t *src_addr;
-    uint8_t *des_addr;
-    void *rx_ctrl;
 } esp_now_recv_info_t;
 
 typedef void (*esp_now_recv_cb_t)(const esp_now_recv_info_t *info, const uint8_t *data, int length);
