@@ -18,9 +18,7 @@ from __future__ import annotations
 
 import operator
 import struct
-from collections.abc import Sequence
 from dataclasses import astuple, dataclass, field, fields
-from typing import Any
 
 from mcp_asdf.arithmetic import (
     Q32_HALF,
@@ -855,7 +853,7 @@ class MirrorRobot(FixedPointView):
         ``updated`` and the id.
         """
         image = _encode_state(self.config, self.s)
-        return image + _CHECKSUM.pack(checksum(unpack_image(image)))
+        return image + checksum(unpack_image(image)).to_bytes(4, "little")
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> MirrorRobot:
@@ -868,7 +866,7 @@ class MirrorRobot(FixedPointView):
         readable_image = memoryview(image)  # raises TypeError for a number, from which bytes would make zeros
         image_bytes = bytes(readable_image)
         check_config(config)
-        error = find_image_error(image_bytes, config.filter) or _find_b_hat_error(image_bytes)
+        error = find_image_error(image_bytes, config.filter)
         if error is not None:
             raise FirmwareError(Status.ERR_IMAGE, error)
         # Without __init__, which would make a new robot, and needs an id and a b_hat that are valid.
@@ -882,96 +880,65 @@ class MirrorRobot(FixedPointView):
 
 # ---- Images ----
 
-# The parts of an image, as little-endian numbers: I has 32 bits, Q 64, H 16, and B 8.
-_BEGINNING = struct.Struct("<7I")
-"""The word that marks the version, b_hat, and the members of `_FIRST_MEMBERS`."""
-_ROUNDS = struct.Struct("<7Q2I")
-"""The sums of the closed and of the open round, which every filter but the robust one keeps.
+# Formats of all numbers in an image but the checksum: I has 32 bits, Q 64, H 16, and B 8. In the middle is what
+# the filter remembers, and behind it are the senders of the open round.
+_FORMAT_WITH_ROUNDS = struct.Struct("<7I 7Q2I 4I5H2B")
+"""Format without the robust filter. Sums of the closed and of the open round are in the middle.
 
 A closed round has no sum of x_hat**2: only the test needs it, which runs before the sums of the open round
 are cleared.
 """
-_ROBUST_FILTER = struct.Struct("<6I2HI32H")
-"""What the robust filter keeps instead: its members, and the estimates in the slots."""
-_SENDERS = struct.Struct("<4I")
-"""The senders of the open round."""
-_ENDING = struct.Struct("<5H2B")
-"""The members of `_LAST_MEMBERS`."""
-_CHECKSUM = struct.Struct("<I")
-"""The checksum of all words before it."""
-
-_FIRST_MEMBERS = ("t", "n", "x_hat", "alpha", "filter_left")
-_LAST_MEMBERS = ("accepted", "repeated", "rejected", "tests", "updates", "updated", "id")
-"""Members of `State` in the order of an image. Sums, Closed and RobustFilter declare theirs in that order."""
-
-
-def _members_of(s: State, names: tuple[str, ...]) -> list[int]:
-    """Return the members of a state that have these names."""
-    return [getattr(s, name) for name in names]
+_FORMAT_WITH_ROBUST_FILTER = struct.Struct("<7I 6I2HI32H 4I5H2B")
+"""Format with the robust filter. Its members, and the estimates in the slots, are in the middle."""
 
 
 def _encode_state(config: Config, s: State) -> bytes:
     """Return the image of a state without its checksum."""
-    beginning = _BEGINNING.pack(
-        first_image_word(config.filter), s.accuracy.b_hat, *_members_of(s, _FIRST_MEMBERS)
-    )
+    beginning = (first_image_word(config.filter), s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left)
+    ending = (*s.heard, s.accepted, s.repeated, s.rejected, s.tests, s.updates, s.updated, s.id)
     if config.filter == Filter.ROBUST:
-        memory_of_filter = _ROBUST_FILTER.pack(*astuple(s.robust), *s.estimates)
-    else:
-        memory_of_filter = _ROUNDS.pack(*astuple(s.closed), *astuple(s.open))
-    ending = _SENDERS.pack(*s.heard) + _ENDING.pack(*_members_of(s, _LAST_MEMBERS))
-    return beginning + memory_of_filter + ending
-
-
-def _find_b_hat_error(image: bytes) -> str | None:
-    """Return what is wrong with b_hat in an image, or None.
-
-    It is checked before a state is made of the image, because other values are computed from it then.
-    """
-    _first_word, b_hat, *_first_members = _BEGINNING.unpack_from(image)
-    is_in_range = B_HAT_MIN <= b_hat <= B_HAT_MAX
-    return None if is_in_range else f"b_hat = {b_hat} is out of range"
+        return _FORMAT_WITH_ROBUST_FILTER.pack(*beginning, *astuple(s.robust), *s.estimates, *ending)
+    return _FORMAT_WITH_ROUNDS.pack(*beginning, *astuple(s.closed), *astuple(s.open), *ending)
 
 
 def _decode_state(config: Config, image: bytes) -> State:
     """Return the state that an image of `MirrorRobot.save` holds.
 
-    ``config.filter`` says whether it has the sums of the rounds or what the robust filter remembers. It is
-    not checked whether a robot can have this state.
+    ``config.filter`` says whether it has the sums of the rounds or what the robust filter remembers. Raises
+    FirmwareError (ERR_IMAGE) for a b_hat out of range, from which other values could not be computed. Beyond
+    that it is not checked whether a robot can have this state.
     """
-    filter_format = _ROBUST_FILTER if config.filter == Filter.ROBUST else _ROUNDS
-    beginning, memory_of_filter, senders, last_members = _unpack_parts(
-        image, _BEGINNING, filter_format, _SENDERS, _ENDING
+    is_robust = config.filter == Filter.ROBUST
+    image_format = _FORMAT_WITH_ROBUST_FILTER if is_robust else _FORMAT_WITH_ROUNDS
+    numbers = image_format.unpack_from(image)  # the checksum is behind them
+    b_hat, t, n, x_hat, alpha, filter_left = numbers[1:7]  # behind the word that marks the version
+    memory_of_filter = numbers[7:-11]
+    heard = numbers[-11:-7]
+    accepted, repeated, rejected, tests, updates, updated, robot_id = numbers[-7:]
+    if not B_HAT_MIN <= b_hat <= B_HAT_MAX:
+        raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {b_hat} is out of range")
+    state = State(
+        id=robot_id,
+        accuracy=accuracy_of(b_hat),
+        filter_left=filter_left,
+        t=t,
+        n=n,
+        x_hat=x_hat,
+        alpha=alpha,
+        heard=list(heard),
+        accepted=accepted,
+        repeated=repeated,
+        rejected=rejected,
+        tests=tests,
+        updates=updates,
+        updated=updated,
     )
-    _first_word, b_hat, *first_members = beginning
-    members: dict[str, Any] = dict(zip(_FIRST_MEMBERS, first_members, strict=True))
-    members.update(zip(_LAST_MEMBERS, last_members, strict=True))
-    state = State(accuracy=accuracy_of(b_hat), heard=list(senders), **members)
-    _set_memory_of_filter(state, config, memory_of_filter)
-    return state
-
-
-def _unpack_parts(image: bytes, *formats: struct.Struct) -> list[tuple[int, ...]]:
-    """Return the numbers in each part of an image. The parts have these formats, one behind the other."""
-    parts = []
-    position = 0
-    for part_format in formats:
-        parts.append(part_format.unpack_from(image, position))
-        position += part_format.size
-    return parts
-
-
-def _set_memory_of_filter(s: State, config: Config, numbers: Sequence[int]) -> None:
-    """Set the members of a state that depend on the filter to the numbers that an image has for them.
-
-    With the robust filter the members are ``robust`` and ``estimates``. With another filter, or none, they
-    are ``closed`` and ``open``, the sums of two rounds.
-    """
-    if config.filter == Filter.ROBUST:
+    if is_robust:
         # The estimates in the slots come last.
-        s.robust = RobustFilter(*numbers[:-SLOTS])
-        s.estimates = list(numbers[-SLOTS:])
+        state.robust = RobustFilter(*memory_of_filter[:-SLOTS])
+        state.estimates = list(memory_of_filter[-SLOTS:])
     else:
         # Three sums of the closed round come before those of the open one.
-        s.closed = Closed(*numbers[:3])
-        s.open = Sums(*numbers[3:])
+        state.closed = Closed(*memory_of_filter[:3])
+        state.open = Sums(*memory_of_filter[3:])
+    return state
