@@ -880,8 +880,8 @@ class MirrorRobot(FixedPointView):
 
 # ---- Images ----
 
-# Formats of all numbers in an image but the checksum: I has 32 bits, Q 64, H 16, and B 8. In the middle is what
-# the filter remembers, and behind it are the senders of the open round.
+# Formats of all numbers in an image but the checksum: I has 32 bits, Q 64, H 16, and B 8. In the middle is
+# what the filter remembers, and after that the senders of the open round.
 _FORMAT_WITH_ROUNDS = struct.Struct("<7I 7Q2I 4I5H2B")
 """Format without the robust filter. Sums of the closed and of the open round are in the middle.
 
