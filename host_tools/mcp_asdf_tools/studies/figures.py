@@ -99,24 +99,19 @@ def _trials_of_users_filter(
         is_users_filter = trials.experiment.filter not in (ASDF_MINUS, ASDF_PLUS)
         if is_users_filter:
             selected.append(trials)
-        elif _counts_as(trials.experiment, filter_name):
+        elif _counts_as(trials.experiment, study_part, filter_name):
             selected.append(_with_filter(trials, filter_name))
     return selected
 
 
-def _counts_as(experiment: Experiment, filter_name: str) -> bool:
-    """Return whether an experiment has a filter of the paper's, or would have the same results with it.
+def _counts_as(experiment: Experiment, study_part: StudyPart, filter_name: str) -> bool:
+    """Return whether an experiment of a part has a filter of the paper's, or the same results with it.
 
     With ASDF- only flawed robots filter. So it is no filter where no robot is flawed, and it is ASDF+ where
-    all are: the study has run these swarms once, under the name of the other filter.
+    all are: the study has run these swarms once, under the name that ``Cell.normal`` chooses.
     """
-    if experiment.filter == filter_name:
-        return True
-    if filter_name != ASDF_MINUS:
-        return False
-    nobody_filters = experiment.filter == NO_FILTER and experiment.flawed == 0
-    everybody_filters = experiment.filter == ASDF_PLUS and _all_flawed(experiment)
-    return nobody_filters or everybody_filters
+    cell = cell_of(study_part, experiment)
+    return replace(cell, filter=filter_name).normal == cell
 
 
 def _with_filter(trials: Trials, filter_name: str) -> Trials:
@@ -178,7 +173,7 @@ def _select_with_shortest_period(
         for trials in study_results.trials_of(study_part):
             # Experiments without a filter state the shortest period, too.
             has_shortest_period = trials.experiment.filter_period == SHORTEST_FILTER_PERIOD
-            if has_shortest_period and _counts_as(trials.experiment, filter_name):
+            if has_shortest_period and _counts_as(trials.experiment, study_part, filter_name):
                 selected.append(_with_filter(trials, filter_name))
     return selected
 
