@@ -113,7 +113,7 @@ def stream_experiments(source: Path | pa.Table) -> Iterator[Trials]:
     one of READABLE_FORMATS, and if lists have another length than they must have.
     """
     row_groups = RowGroups(source)
-    result_columns = [name for name in column_types() if name not in PARAMETER_NAMES]
+    result_columns = tuple(name for name in column_types() if name not in PARAMETER_NAMES)
     # Parameters, which say what rows an experiment has, are read first. All else, which is far more, is read
     # for one experiment at a time.
     for experiment, rows in row_groups.rows_by_experiment().items():
@@ -195,12 +195,11 @@ class RowGroups:
                 row_arrays.setdefault(experiment, []).append(row_group.first_row + rows_in_group)
         return {experiment: np.concatenate(arrays) for experiment, arrays in row_arrays.items()}
 
-    def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
+    def take(self, rows: NDArray[np.int64], columns: tuple[str, ...] | None = None) -> pa.Table:
         """Return the rows of these numbers, in the order of ``rows``, with some columns or all.
 
         Each row group that has one of them is read once. Raises UsageError if a file cannot be read.
         """
-        column_names = None if columns is None else tuple(columns)  # hashable, for the cache
         first_rows = [row_group.first_row for row_group in self._row_groups]
         sorted_rows = np.sort(rows)
         # A row is in the last row group that begins at or before it.
@@ -208,7 +207,7 @@ class RowGroups:
         tables = []
         for group_index in np.unique(group_of_row):
             rows_in_group = sorted_rows[group_of_row == group_index] - first_rows[group_index]
-            tables.append(_take_rows(self._read_cached(group_index, column_names), rows_in_group))
+            tables.append(_take_rows(self._read_cached(group_index, columns), rows_in_group))
         sorted_table = pa.concat_tables(tables).combine_chunks()
         return _take_rows(sorted_table, np.searchsorted(sorted_rows, rows))
 

@@ -40,7 +40,6 @@ class StudyResults:
         """
         self._trials_by_cell = dict(trials_by_cell)
         self._users_trials = dict(users_trials or {})
-        self._scores = {cell: trials.scores() for cell, trials in trials_by_cell.items()}
         self._computed_measures: dict[tuple[Cell, str], Resampled] = {}
 
     @property
@@ -73,9 +72,10 @@ class StudyResults:
         accuracy, or H, their mean; or "b_hat", the accuracy that robots which are not flawed assume at the
         end, averaged over them. Raises KeyError if the cell has not been run, and for another name.
         """
+        trials = self._trials_by_cell[cell.normal]
         if name == "b_hat":
-            return final_b_hat_of_healthy_robots(self._trials_by_cell[cell.normal])
-        return self._scores[cell.normal][name]
+            return final_b_hat_of_healthy_robots(trials)
+        return trials.scores()[name]
 
     def measure(self, cell: Cell, name: str) -> Resampled:
         """Return a measure of a cell, one kind of swarm, with its bootstrap resamples. It is computed once.

@@ -99,22 +99,19 @@ def test_a_file_of_results_gives_back_its_experiments_with_their_trials_in_order
 def test_a_file_of_results_gives_back_all_values_that_were_measured_and_recorded_over_time(
     experiments: list[Trials], trials_run_again: list[Trials]
 ) -> None:
-    """The same trials are run once more, and compared with the trials from the file."""
+    """The same trials are run once more, and compared with the trials from the file.
+
+    Values of 4 robots were recorded every 10 steps: at step 0, and 30 times in 300 steps of 3 trials.
+    """
     for trials_from_file, expected_trials in zip(experiments, trials_run_again, strict=True):
+        assert trials_from_file.sampling_interval == 10
+        assert trials_from_file.records["x"].shape == (3, 31, 4)
         for result in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
             assert np.array_equal(getattr(trials_from_file, result), getattr(expected_trials, result)), result
         for quantity in QUANTITIES:
             values = trials_from_file.records[quantity]
             expected_values = expected_trials.records[quantity]
             assert np.array_equal(values, expected_values), quantity
-
-
-def test_a_file_of_results_gives_back_how_often_values_were_recorded(experiments: list[Trials]) -> None:
-    """Values of 4 robots were recorded at step 0 and 30 times in 300 steps of 3 trials."""
-    trials, _trials_of_other_experiment = experiments
-    assert trials.sampling_interval == 10
-    trial_count, sample_count, robots = trials.records["x"].shape
-    assert (trial_count, sample_count, robots) == (3, 31, 4)
 
 
 def test_results_of_one_robot_without_recorded_values_are_read_from_their_file(path: Path) -> None:
