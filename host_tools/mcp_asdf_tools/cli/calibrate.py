@@ -8,7 +8,7 @@ from dataclasses import asdict
 from mcp_asdf_tools.cli.output import json_report, warn
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import LONGEST_TEXT, read_text
-from mcp_asdf_tools.robots.calibration import calibrate
+from mcp_asdf_tools.robots.calibration import Calibration, calibrate
 from mcp_asdf_tools.robots.readings import Readings, parse_readings
 
 EPILOG = f"""\
@@ -58,7 +58,16 @@ def run(args: argparse.Namespace) -> int:
             name: getattr(calibration, name) for name in ("b_hat", "uncertainty", "bias", "warning")
         }
         print(json_report(asdict(calibration) | derived_values | {"left_out": readings.left_out}))
-        return 0
+    else:
+        _print_calibration(calibration, left_out)
+    return 0
+
+
+def _print_calibration(calibration: Calibration, left_out: str) -> None:
+    """Print what a calibration has found, and ``left_out``, which lines it did without, unless it is empty.
+
+    A warning about the sensor goes to standard error.
+    """
     print(f"threshold {calibration.threshold:.10g}: {calibration.black_is} it a tile is black")
     for colour, accuracy in calibration.accuracy.items():
         print(f"accuracy on {colour} {accuracy:.4f} ({calibration.readings[colour]} readings)")
@@ -67,7 +76,6 @@ def run(args: argparse.Namespace) -> int:
     print(f"start with --b-hat {calibration.b_hat:.4f} (+- {calibration.uncertainty:.4f}, 95 %)")
     if calibration.warning is not None:
         warn("calibrate", calibration.warning)
-    return 0
 
 
 def _describe_left_out_lines(readings: Readings) -> str:

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import json_report, print_again, reporting_missing_trials
@@ -121,14 +121,19 @@ def run(args: argparse.Namespace) -> int:
     report_path = output_folder / "report.html"
     if args.json:
         print(json_report({"report": str(report_path), "claims": claims}))
-        return 0
+    else:
+        _print_verdicts(claims)
+        print(report_path)
+        print_again(args, seed=study_size.seed)
+    return 0
+
+
+def _print_verdicts(claims: Sequence[Mapping[str, Any]]) -> None:
+    """Print a line for each claim: the verdict on it, its part of the study, and its text."""
     for claim in claims:
         verdict = claim["verdict"] or "too short"  # as trials are with --quick, which have no verdicts
         subject = claim["part"] or "equations"  # which are no part of the study
         print(f"{verdict:10} {subject:16} {claim['claim']}")
-    print(report_path)
-    print_again(args, seed=study_size.seed)
-    return 0
 
 
 def study_size_from(args: argparse.Namespace) -> StudySize:
