@@ -84,7 +84,7 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
     robot_steps = settings.robots * settings.steps
     if not settings.swarm_filter.is_on or robot_steps > _MAX_UNFILTERED_ROBOT_STEPS:
         return []
-    experiment = _remove_filter(settings, trials=trial + 1)
+    experiment = _remove_filter(settings)
     if experiment.parameter_lacking_in_c:
         return []
     sampling_interval = steps_between_states(settings.steps, settings.robots)
@@ -95,12 +95,12 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
     return _average_parts(errors.mean(axis=robot_axis))
 
 
-def _remove_filter(settings: Population, trials: int) -> Experiment:
-    """Return an experiment of so many trials with the parameters of ``settings``, but without a filter."""
+def _remove_filter(settings: Population) -> Experiment:
+    """Return an experiment with the parameters of ``settings``, but without a filter."""
     # ``settings`` may have more parameters than an experiment takes.
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)}
     parameters["filter"] = "none"
-    return Experiment(**parameters, trials=trials)
+    return Experiment(**parameters)
 
 
 def _average_parts(values: NDArray[np.float64]) -> list[float]:
