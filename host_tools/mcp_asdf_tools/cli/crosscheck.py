@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, cast
 
 from mcp_asdf.robot import Status
 from mcp_asdf_tools.cli.output import json_report, print_again
-from mcp_asdf_tools.cli.parsing import typed_options
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED
 
@@ -61,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 
     if args.replay is not None:
-        if typed_options(args) & {"--steps", "--seed"}:
+        if args.typed_options & {"--steps", "--seed"}:
             raise UsageError("--replay runs one scenario; it does not go with --steps or --seed")
         return _replay(parse_scenario(args.replay), args.json)
     if args.steps < 1:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import exit_code_of_run, json_report, print_again, recording_for
-from mcp_asdf_tools.cli.parsing import typed_options
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.common.standard_streams import has_input_ended, standard_input_descriptor
@@ -172,9 +171,8 @@ def setup_of(args: argparse.Namespace) -> RobotSetup:
     if args.setup is None:
         allow = None if args.allow is None else parse_ids(args.allow, "--allow")
         return replace(options.robot_of(args), allow=allow)
-    all_typed_options = typed_options(args)
     for option in (*options.ROBOT_OPTIONS, "--allow"):
-        if option in all_typed_options:
+        if option in args.typed_options:
             raise UsageError(f"--setup and {option} both describe the robot; leave out one of them")
     return _parse_setup(args.setup)
 

@@ -14,7 +14,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from mcp_asdf_tools.cli.parsing import describe_unknown_value, option_of, typed_options
+from mcp_asdf_tools.cli.parsing import describe_unknown_value, option_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extensions import Names
 from mcp_asdf_tools.common.parameters import Parameter, ParameterError, parameters_of
@@ -231,7 +231,7 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     population = _population_around_robot(args)
     robot_in_population = 0  # the flawed robot: flawed ones are the first by id
     config = population.config(robot_in_population)
-    if config.table is None and "--neighbours" in typed_options(args):
+    if config.table is None and "--neighbours" in args.typed_options:
         raise UsageError("--neighbours would do nothing: the robot uses no t-table; leave it out")
     robot_setup = RobotSetup(args.id, args.firmware, args.b_hat, config, population.comms_period)
     try:

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcp_asdf_tools.cli.parsing import option_of, typed_options
+from mcp_asdf_tools.cli.parsing import option_of
 from mcp_asdf_tools.common.signals import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def print_again(args: argparse.Namespace, **used_parameters: object) -> None:
     added_options = [
         f"{option_of(name)}={value}"
         for name, value in used_parameters.items()
-        if option_of(name) not in typed_options(args)
+        if option_of(name) not in args.typed_options
     ]
     # The program's name has a space in it, as "mcp-asdf swarm", which must not be quoted.
     print(f"again: {program} {shlex.join([*added_options, *typed_arguments])}".rstrip())

@@ -23,13 +23,6 @@ def describe_unknown_value(value: str, known_values: Iterable[str]) -> str:
     return f"{value!r} is none of {', '.join(known_values)}{did_you_mean(value, known_values)}"
 
 
-def typed_options(args: argparse.Namespace) -> set[str]:
-    """Return the options that the user has typed, such as ``--seed``; ``parse_all`` has returned ``args``."""
-    _program, *typed_arguments = args.command_line
-    # An option may be typed as --seed 3 or as --seed=3.
-    return {argument.partition("=")[0] for argument in typed_arguments if argument.startswith("-")}
-
-
 class Parser(argparse.ArgumentParser):
     """ArgumentParser of one command, which raises UsageError where argparse's own ends the program."""
 
@@ -46,14 +39,28 @@ class Parser(argparse.ArgumentParser):
     def parse_all(self, typed_arguments: Sequence[str]) -> argparse.Namespace:
         """Parse what the user typed behind the command's name, and return the values of all options.
 
-        The attribute ``command_line`` of the result is what was typed, with the program's name in front.
-        Raises UsageError, with the nearest option's name, for an argument that belongs to no option.
+        Two more attributes of the result say what was typed: ``command_line`` is all of it, with the
+        program's name in front, and ``typed_options`` the options in it by their long names, such as
+        ``--seed``. Raises UsageError, with the nearest option's name, for an argument that belongs to no
+        option.
         """
         args, unknown_arguments = self.parse_known_args(typed_arguments)
         if unknown_arguments:
             self._refuse_unknown(unknown_arguments)
         args.command_line = [self.prog, *typed_arguments]
+        args.typed_options = self._options_among(typed_arguments)
         return args
+
+    def _options_among(self, typed_arguments: Sequence[str]) -> set[str]:
+        """Return the options among what the user typed, by their long names: ``--channel`` for ``-c``."""
+        long_names = set()
+        for argument in typed_arguments:
+            # The value may follow at once, as in --seed=3, or behind the letter of a short option: -ccan0.
+            option_name = argument.partition("=")[0] if argument.startswith("--") else argument[:2]
+            action = self._option_string_actions.get(option_name)
+            if action is not None:
+                long_names.add(action.option_strings[-1])
+        return long_names
 
     def _refuse_unknown(self, unknown_arguments: Sequence[str]) -> NoReturn:
         """Raise UsageError for the first unknown option or, if there is none, the first unknown argument.

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from mcp_asdf_tools.cli import options
-from mcp_asdf_tools.cli.parsing import typed_options
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.plots import KINDS, load_plot
 
@@ -85,7 +84,7 @@ def _plot_keywords(args: argparse.Namespace) -> dict[str, Any]:
         if value is not None:
             _check_kind_has(args.kind, option_name, f"--{option_name}")
             keywords[option_name] = value
-    typed_limits = [option for option in ("--k-max", "--e-max") if option in typed_options(args)]
+    typed_limits = [option for option in ("--k-max", "--e-max") if option in args.typed_options]
     for option in typed_limits:
         _check_kind_has(args.kind, "limits", option)
         # The limits scale the scores only. Where y is K or e, a curve shows steps or errors instead.

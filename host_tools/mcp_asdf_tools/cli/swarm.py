@@ -22,7 +22,6 @@ from mcp_asdf_tools.cli.output import (
     sleep_until,
     warn,
 )
-from mcp_asdf_tools.cli.parsing import typed_options
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.robots.clock import ClockKind
@@ -273,7 +272,7 @@ def _plan_run(args: argparse.Namespace) -> _RunPlan:
 def _check_output_options(args: argparse.Namespace, wiring: Wiring) -> None:
     """Raise UsageError for --pace or --port without --view, and for --compare with robots elsewhere."""
     for option in ("--pace", "--port"):
-        if option in typed_options(args) and not args.view:
+        if option in args.typed_options and not args.view:
             raise UsageError(f"{option} is for the page of --view; add --view, or leave it out")
     if args.compare and wiring.remote:
         raise UsageError(

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import json_report, print_again
-from mcp_asdf_tools.cli.parsing import typed_options
 from mcp_asdf_tools.common.errors import UsageError
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         omega, q = options.table_of(args)
         return _write(omega, q, args)
     # These options would do nothing here, and the user should know.
-    if typed_options(args) & {"--omega", "--neighbours"}:
+    if args.typed_options & {"--omega", "--neighbours"}:
         raise UsageError("--omega and --neighbours go with --output; a table to be checked states its own")
     return _print_checks([check_file(path) for path in args.check], args.json)
 

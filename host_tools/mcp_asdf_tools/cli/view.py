@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import announce_page, report_failure, sleep_until, warn
-from mcp_asdf_tools.cli.parsing import option_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import stopping
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.bus.frames import FrameFormat
     from mcp_asdf_tools.bus.interfaces import BusChoice
     from mcp_asdf_tools.recording.frame_logs import LogSummary
     from mcp_asdf_tools.view.history import History
@@ -34,8 +32,8 @@ exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
 LIBRARIES = ("numpy", "can")
 
 _NO_TELEMETRY = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --telemetry-period 1"
-_OPTIONS_OF_A_BUS = ("interface", "bitrate", "bus_kwargs")
-_OPTIONS_OF_FRAMES = ("fill_ratio", "true_accuracy", "subject", "channel")
+_OPTIONS_OF_A_BUS = ("--interface", "--bitrate", "--bus-kwargs")
+_OPTIONS_OF_FRAMES = ("--fill-ratio", "--true-accuracy", "--subject", "--channel")
 """Options that say what the frames of a bus mean, or of a log that has no events beside it."""
 
 
@@ -71,9 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--true-accuracy", metavar="B", type=float, help="share of right readings of every sensor, 0 to 1 (b)"
     )
     options.add_port_option(parser)
-    # Without the usual default: only an option that was typed is refused where it would do nothing.
     parser.add_argument(
-        "--subject", type=int, help=f"Cyphal subject of estimates on a bus (default {FrameFormat().subject})"
+        "--subject",
+        type=int,
+        default=FrameFormat().subject,
+        help="Cyphal subject of estimates on a bus (default %(default)s)",
     )
     options.add_bus_options(parser)
 
@@ -98,16 +98,6 @@ def run(args: argparse.Namespace) -> int:
     return _export_recording(args, _read_recording(args))
 
 
-def _frame_format_of(args: argparse.Namespace) -> FrameFormat:
-    """Return the format of estimates, with the subject of --subject or the default one.
-
-    Raises UsageError if the subject is out of range.
-    """
-    from mcp_asdf_tools.bus.frames import FrameFormat
-
-    return FrameFormat() if args.subject is None else FrameFormat(args.subject)
-
-
 # --- Recordings ------------------------------------------------------------------------------------------
 
 
@@ -124,9 +114,8 @@ def _check_recording_options(args: argparse.Namespace) -> None:
     has_parameters = is_results_path(args.file) or events_path(args.file).exists()
     if has_parameters:  # what the frames of any other log mean is for the user to say
         unused_options += _OPTIONS_OF_FRAMES
-    for option_name in unused_options:
-        if getattr(args, option_name, None) is not None:
-            option = option_of(option_name)
+    for option in unused_options:
+        if option in args.typed_options:
             raise UsageError(f"{option} is for a bus, but {args.file} is a recording; leave one of them out")
     if args.export is not None and args.port is not None:
         raise UsageError("--port is for a page that is served, but --export writes a file; leave it out")
@@ -165,6 +154,7 @@ def _read_recording(args: argparse.Namespace) -> History:
 
 def _read_frame_history(args: argparse.Namespace) -> History:
     """Return the history of a log without events; warn on standard error of what the page cannot show."""
+    from mcp_asdf_tools.bus.frames import FrameFormat
     from mcp_asdf_tools.recording.frame_logs import LogSummary
     from mcp_asdf_tools.view.frame_history import KnownTruth, read_frame_log
 
@@ -172,7 +162,7 @@ def _read_frame_history(args: argparse.Namespace) -> History:
     channel = getattr(args, "channel", None)
     truth = KnownTruth(args.fill_ratio, args.true_accuracy)
     summary = LogSummary()
-    recorder = read_frame_log(args.file, _frame_format_of(args), truth, summary, channel)
+    recorder = read_frame_log(args.file, FrameFormat(args.subject), truth, summary, channel)
     _warn_of_frame_log(args.file, channel, summary)
     if not recorder.roster.has_telemetry:
         warn("view", _NO_TELEMETRY)
@@ -239,11 +229,12 @@ def _serve_bus(args: argparse.Namespace) -> int:
     """
     from can import CanError
 
+    from mcp_asdf_tools.bus.frames import FrameFormat
     from mcp_asdf_tools.view.frame_history import FrameRecorder, KnownTruth, record_bus
     from mcp_asdf_tools.view.server import serve_page
 
     bus_choice = _bus_to_show(args)
-    frame_format = _frame_format_of(args)
+    frame_format = FrameFormat(args.subject)
     truth = KnownTruth(args.fill_ratio, args.true_accuracy)
     recorder = FrameRecorder(f"robots on {bus_choice}", frame_format, truth)
     try:
