@@ -18,9 +18,10 @@
  * every processor reads and writes a byte in one piece: no interrupt has to be masked. */
 static volatile uint8_t queue[QUEUE_SLOTS][PACKET_BYTES];
 static volatile uint8_t received_packets, taken_packets; /* put into the queue and taken out, modulo 256 */
-static volatile uint8_t
-    rejected_packets;           /* lost since the queue was full, modulo 256; by the receiving side */
-static uint8_t damaged_packets; /* with a wrong checksum, modulo 256; written by the other side */
+/* Packets that were lost since the queue was full, modulo 256; written by the receiving side. */
+static volatile uint8_t rejected_packets;
+/* Packets with a wrong checksum, modulo 256; written by the other side. */
+static uint8_t damaged_packets;
 
 /* Collect the bytes of a packet: the byte MARK, then PACKET_BYTES bytes, which go to the next free slot of
  * the queue. When the last of them has come, the packet counts in received_packets, which hands its slot over
