@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS, stopping
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 from mcp_asdf_tools.experiments.trials import Job
 
 if TYPE_CHECKING:
@@ -41,8 +41,14 @@ _ROBOT_STEPS_OF_SHORT_JOB = 1_000_000
 """Robot steps (robots times steps times trials) that a job of short trials has. So it has more trials than a
 job of long ones, as starting a job takes time, too."""
 
-_MAX_ROBOT_STEPS_OF_JOB = 20_000_000
-"""Largest number of robot steps in a job of several trials, which bounds its memory."""
+_MAX_BYTES_OF_JOB = 80_000_000
+"""Largest size of the estimates and the recorded values in a job of several trials."""
+
+_BYTES_OF_ESTIMATE = 4
+"""Bytes that the engine keeps of each robot in each step until the trials are measured."""
+
+_BYTES_OF_SAMPLE = 8 * len(QUANTITIES)
+"""Bytes of all quantities of a robot in a recorded step."""
 
 Report = Callable[[int], None]
 """Called with the number of trials that have just been finished."""
@@ -100,7 +106,7 @@ def jobs_of_experiment(
     A job's trials have consecutive numbers, as many as one job may run. Values of robots are recorded every
     ``sampling_interval`` steps, or never if it is 0.
     """
-    max_count = _max_trials_of_job(experiment)
+    max_count = _max_trials_of_job(experiment, sampling_interval)
     # Where the difference of two neighbours is not 1, numbers are missing between them, and the second of the
     # two begins a new piece.
     has_gap_behind = np.diff(trial_numbers) != 1
@@ -111,17 +117,18 @@ def jobs_of_experiment(
             yield Job(experiment, int(numbers[0]), len(numbers), sampling_interval)
 
 
-def _max_trials_of_job(experiment: Experiment) -> int:
+def _max_trials_of_job(experiment: Experiment, sampling_interval: int) -> int:
     """Return the largest number of trials, 1 or more, that one job of the experiment runs.
 
-    It falls with the number of robots and steps. On any firmware but "native" it is 1, as these trials run in
-    Python and each takes long.
+    It falls with the number of robots and steps, and the more values are recorded. On any firmware but
+    "native" it is 1, as these trials run in Python and each takes long.
     """
     if experiment.firmware != "native":
         return 1
-    robot_steps_of_trial = experiment.robots * experiment.steps
-    trials_of_short_job = _ROBOT_STEPS_OF_SHORT_JOB // robot_steps_of_trial
-    trials_in_memory = _MAX_ROBOT_STEPS_OF_JOB // robot_steps_of_trial
+    trials_of_short_job = _ROBOT_STEPS_OF_SHORT_JOB // (experiment.robots * experiment.steps)
+    samples = experiment.steps // sampling_interval if sampling_interval else 0
+    bytes_of_robot = _BYTES_OF_ESTIMATE * experiment.steps + _BYTES_OF_SAMPLE * samples
+    trials_in_memory = _MAX_BYTES_OF_JOB // (experiment.robots * bytes_of_robot)
     # As many trials as make a short job, but at least as many as a long job has.
     preferred_trials = max(_TRIALS_OF_LONG_JOB, trials_of_short_job)
     allowed_trials = min(_MAX_TRIALS_OF_JOB, trials_in_memory)

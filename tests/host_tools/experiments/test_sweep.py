@@ -66,26 +66,29 @@ def trials_of(jobs: Iterable[Job]) -> list[range]:
 
 
 @pytest.mark.parametrize(
-    ("changes", "trial_counts_of_jobs"),
+    ("changes", "sampling_interval", "trial_counts_of_jobs"),
     [
-        ({}, [32, 8]),  # 40 trials of 8,000 steps of 4 robots
-        ({"firmware": "mirror", "trials": 2}, [1, 1]),  # slow, as it runs in Python
-        ({"steps": 10**7, "trials": 2}, [1, 1]),
+        ({}, 0, [32, 8]),  # 40 trials of 8,000 steps of 4 robots
+        ({"firmware": "mirror", "trials": 2}, 0, [1, 1]),  # slow, as it runs in Python
+        ({"steps": 10**7, "trials": 2}, 0, [1, 1]),
         # 833 trials of 300 steps of 4 robots are just below a million steps of robots.
-        ({"steps": 300, "filter_period": 100, "trials": 1200}, [833, 1200 - 833]),
-        ({"steps": 2_500_000, "trials": 3}, [2, 1]),  # 10^7 steps of robots in a trial, 2 * 10^7 in a job
+        ({"steps": 300, "filter_period": 100, "trials": 1200}, 0, [833, 1200 - 833]),
+        # 10^7 steps of robots in a trial have 4 * 10^7 bytes.
+        ({"steps": 2_500_000, "trials": 3}, 0, [2, 1]),
+        # In every 16th step 64 bytes are recorded, so each step has 8 bytes.
+        ({"steps": 1_250_000, "trials": 3}, 16, [2, 1]),
     ],
 )
-def test_a_job_has_more_trials_the_shorter_these_are(
-    changes: dict[str, Any], trial_counts_of_jobs: list[int]
+def test_a_job_has_more_trials_the_shorter_these_are_and_the_less_is_recorded(
+    changes: dict[str, Any], sampling_interval: int, trial_counts_of_jobs: list[int]
 ) -> None:
     """A job, which a worker process runs at once, has a million steps of robots if its trials are short.
 
-    It has up to 32 longer trials if these are at most 20 million steps of robots together, and one at least.
-    Unless it is changed, the experiment has 40 trials of 8,000 steps of 4 robots.
+    It has up to 32 longer trials if their estimates and records have at most 80 MB together, and one at
+    least. Unless it is changed, the experiment has 40 trials of 8,000 steps of 4 robots.
     """
     experiment = replace(EXPERIMENT, **changes)
-    jobs = sweep.jobs_of_experiment(experiment, np.arange(experiment.trials), sampling_interval=0)
+    jobs = sweep.jobs_of_experiment(experiment, np.arange(experiment.trials), sampling_interval)
     assert [job.count for job in jobs] == trial_counts_of_jobs
 
 
