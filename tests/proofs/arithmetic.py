@@ -12,7 +12,7 @@ from typing import Any
 
 import z3
 
-from proofs.machine import Machine, PathEndsError
+from proofs.machine import Machine
 from proofs.numbers import IntegerType, Number, constant_value
 from proofs.prove import Contract, Formula
 from proofs.source import BITS, HARDWARE, LANES, TABLE, Variant
@@ -189,62 +189,28 @@ def _digit_division_contracts(divide: int) -> dict[str, Contract]:
     }
 
 
-class DivisionInvariant:
-    """The loop invariant of divide_by_bits().
+def _is_divided_so_far(arguments: dict[str, Any], variables: dict[str, Any]) -> Any:
+    """Return the loop invariant of divide_by_bits().
 
     After i turns, with the quotient q so far and the present a < 2 d: 2^i dividend = 2 d q + a.
     """
-
-    def __init__(self) -> None:
-        self.turns = self.turns_in_byte = 0
-        self.facts_before_loop: list[Any] | None = None
-
-    def after_turn(self, machine: Machine) -> None:
-        """Claim the invariant, and let the code after a turn rely on nothing else that the turn did."""
-        if self.facts_before_loop is None:
-            self.facts_before_loop = machine.facts[:1]  # what the function requires
-        self.turns, self.turns_in_byte = self.turns + 1, self.turns_in_byte + 1
-        machine.require(self._formula(machine), f"turn {self.turns}")
-        machine.require(
-            self._are_others_kept(machine), f"variables that turn {self.turns} leaves as they are"
-        )
-        if not machine.last_decision:
-            # This is the path on which d was not subtracted. It need not be followed: of the three variables
-            # that a turn changes only the invariant stays known, and the others are as just claimed, so that
-            # the rest would be the same as on the path on which d was subtracted.
-            raise PathEndsError
-        # Forget what the turn did: the variables may hold anything that fulfils the invariant. So the
-        # formulas stay as short as for one turn.
-        for name in ("a", "byte", "quotient"):
-            machine.variables[name] = machine.fresh_number(name, machine.variables[name].type)
-        machine.facts[:] = [*self.facts_before_loop, self._formula(machine)]
-        if constant_value(machine.variables["turns"].term) == 1:
-            self.turns_in_byte = 0  # the inner loop ends here, and its byte joins the quotient
-
-    def _are_others_kept(self, machine: Machine) -> Any:
-        """Return that the four variables that a turn may not change have the values that they must have."""
-        bits = constant_value(machine.argument_terms["bits"])
-        assert bits is not None
-        turns_left = bits + 1 - self.turns
-        # The counters, turns and bytes, are decremented after this. All bytes but the first one have 8 turns.
-        expected_terms = {
-            "d": machine.argument_terms["d"],
-            "bits": bits,
-            "turns": turns_left % 8 + 1,
-            "bytes": turns_left // 8 + 1,
-        }
-        assert machine.variables.keys() == {"a", "byte", "quotient", *expected_terms}
-        return z3.And([machine.variables[name].term == term for name, term in expected_terms.items()])
-
-    def _formula(self, machine: Machine) -> Any:
-        """Return the invariant, with the present values of the loop's variables."""
-        a, byte, full_bytes = (wide(machine.variables[name].term) for name in ("a", "byte", "quotient"))
-        # The quotient so far: complete bytes, and the bits of the byte that is being filled.
-        quotient = full_bytes * 2**self.turns_in_byte + byte
-        dividend, d = wide(machine.argument_terms["a"]), wide(machine.argument_terms["d"])
-        ranges = [z3.ULT(a, 2 * d), z3.ULT(byte, 2**self.turns_in_byte)]
-        ranges.append(z3.ULT(full_bytes, 2 ** (self.turns - self.turns_in_byte)))
-        return z3.And(*ranges, dividend * 2**self.turns == 2 * d * quotient + a)
+    bits, turns_left_in_byte, bytes_left = (
+        constant_value(term) for term in (arguments["bits"], variables["turns"], variables["bytes"])
+    )
+    assert bits is not None and turns_left_in_byte is not None and bytes_left is not None
+    # Both counters still include the turn, or the byte, that ends now. All bytes but the first have 8 turns.
+    turns = bits + 2 - turns_left_in_byte - 8 * (bytes_left - 1)
+    turns_in_byte = min(turns, 9 - turns_left_in_byte)
+    a, byte, full_bytes = (wide(variables[name]) for name in ("a", "byte", "quotient"))
+    # The quotient so far: complete bytes, and the bits of the byte that is being filled.
+    quotient = full_bytes * 2**turns_in_byte + byte
+    dividend, d = wide(arguments["a"]), wide(arguments["d"])
+    ranges = [
+        z3.ULT(a, 2 * d),
+        z3.ULT(byte, 2**turns_in_byte),
+        z3.ULT(full_bytes, 2 ** (turns - turns_in_byte)),
+    ]
+    return z3.And(*ranges, dividend * 2**turns == 2 * d * quotient + a)
 
 
 def _bit_division_contracts() -> dict[str, Contract]:
@@ -254,7 +220,7 @@ def _bit_division_contracts() -> dict[str, Contract]:
         _is_divisible(1),
         constant_parameter="bits",
         constant_values=(24, 31),
-        make_loop_invariant=lambda: DivisionInvariant().after_turn,
+        loop_invariant=_is_divided_so_far,
     )
     return {"divide_by_bits": divide_by_bits, **_division_contracts("divide_by_bits")}
 

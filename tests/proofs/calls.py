@@ -11,9 +11,7 @@ import z3
 
 from proofs import arithmetic, robust
 from proofs.arithmetic import high_word, low_word, wide, zero_extend
-from proofs.machine import Machine
-from proofs.numbers import IntegerType, Number
-from proofs.prove import Contract, result_of, uninterpreted
+from proofs.prove import Contract, result_of, stand_in
 from proofs.robust import (
     B_HAT_RANGE,
     ONE,
@@ -38,18 +36,6 @@ def alpha_in_units(alpha: Any) -> Any:
     """Return the 64 bits of an alpha word in units of 2^-24."""
     mantissa, exponent = z3.LShR(alpha, 8), alpha & 31
     return zero_extend(mantissa) << zero_extend(exponent)
-
-
-def _call_alpha_units(_machine: Machine, alpha: Number) -> dict[str, Number]:
-    """Stand in for alpha_units() by its lemma."""
-    units = alpha_in_units(alpha.term)
-    halves = {"high": high_word(units), "low": low_word(units)}
-    return {name: Number(half, alpha.type) for name, half in halves.items()}
-
-
-def _call_multiply(_machine: Machine, a: Number, b: Number) -> Number:
-    """Stand in for multiply() by its lemma."""
-    return Number(zero_extend(a.term) * zero_extend(b.term), IntegerType(64))
 
 
 def zeros_like(structure: Any) -> Any:
@@ -108,14 +94,16 @@ def _is_observed(status: Any, robot_after: Any, robot: Any, z: Any) -> Any:
 
 
 # design: R1, R2, R3, R29
-OBSERVE = Contract(_is_observed, _may_observe, stand_ins={"estimate": uninterpreted("estimate")})
+OBSERVE = Contract(_is_observed, _may_observe, stand_ins={"estimate": stand_in("estimate")})
 
 # --- receive ---------------------------------------------------------------------------------------------
 
 
 def _heard_senders(robot: Any) -> Any:
     """Return the set of senders heard as one word, with a bit for each id."""
-    return z3.Concat(*reversed(robot["heard"]["of"].values()))
+    # The union's bytes or, after they were cleared, its two long words.
+    (parts,) = robot["heard"].values()
+    return z3.Concat(*reversed(parts.values()))
 
 
 def _count_if(counter: Any, condition: Any) -> Any:
@@ -207,9 +195,7 @@ def _sums_with_message(sums: Any, x_hat: Any, alpha: Any) -> Any:
 
 
 # design: R4, R5, R6, R7, R13
-RECEIVE = Contract(
-    _is_received, stand_ins={"alpha_units": _call_alpha_units, "multiply": uninterpreted("multiply")}
-)
+RECEIVE = Contract(_is_received, used_lemmas=("alpha_units",), stand_ins={"multiply": stand_in("multiply")})
 
 # --- settle ----------------------------------------------------------------------------------------------
 
@@ -261,9 +247,10 @@ def _is_settled(status: Any, robot_after: Any, robot: Any) -> Any:
     # The filter has run on the sums of the round; now they are cleared for the next one.
     next_sums = {**published_sums, "open": zeros_like(sums["open"])}
     expected_robot["received"] = {**robot["received"], "sums": choose_terms(takes_vote, sums, next_sums)}
-    expected_robot["heard"] = zeros_like(robot["heard"])
+    del expected_robot["heard"]  # compared as a set of senders instead
     return z3.And(
         status == z3.If(filter_runs, status_of_filter, z3.BitVecVal(0, status.size())),
+        _heard_senders(robot_after) == 0,
         is_same(robot_after, expected_robot),
     )
 
@@ -273,8 +260,8 @@ SETTLE = Contract(
     _is_settled,
     requires=_may_settle,
     stand_ins={
-        "update_b_hat": uninterpreted("update_b_hat", *FILTER_CHANGES, requires=_may_update),
-        "take_vote": uninterpreted("take_vote", "robust", requires=may_vote, ensures=keeps_initial_b_hat),
+        "update_b_hat": stand_in("update_b_hat", *FILTER_CHANGES, requires=_may_update),
+        "take_vote": stand_in("take_vote", "robust", requires=may_vote, ensures=keeps_initial_b_hat),
     },
 )
 
@@ -342,9 +329,9 @@ UPDATE_B_HAT = Contract(
     _is_b_hat_updated,
     _may_update,
     stand_ins={
-        "run_robust_filter": uninterpreted("run_robust_filter", "robust", "counters", requires=may_run),
-        "set_b_hat": uninterpreted("set_b_hat", "accuracy"),
-        **{name: uninterpreted(name) for name in ("asdf_test_rejects", "round_mean", "reestimate")},
+        "run_robust_filter": stand_in("run_robust_filter", "robust", "counters", requires=may_run),
+        "set_b_hat": stand_in("set_b_hat", "accuracy"),
+        **{name: stand_in(name) for name in ("asdf_test_rejects", "round_mean", "reestimate")},
     },
 )
 
@@ -383,7 +370,7 @@ def _is_test_of_paper(rejects: Any, _robot_after: Any, robot: Any) -> list[Any]:
 
 
 # design: R24
-TEST = Contract(_is_test_of_paper, _may_test, stand_ins={"multiply": _call_multiply})
+TEST = Contract(_is_test_of_paper, _may_test, used_lemmas=("multiply",))
 
 # --- The re-estimate -------------------------------------------------------------------------------------
 
@@ -419,8 +406,8 @@ REESTIMATE = Contract(
     _is_reestimated,
     requires=has_observed,
     stand_ins={
-        "multiply": uninterpreted("multiply", ensures=_is_zero_only_for_zero),
-        "quotient": uninterpreted("quotient", requires=arithmetic.QUOTIENT.requires),
+        "multiply": stand_in("multiply", ensures=_is_zero_only_for_zero),
+        "quotient": stand_in("quotient", requires=arithmetic.QUOTIENT.requires),
     },
 )
 
@@ -470,7 +457,7 @@ def _is_mean(mean: Any, alpha: Any, low: Any, high: Any) -> Any:
 ROUND_MEAN = Contract(
     _is_mean,
     _is_possible_sum,
-    stand_ins={"quotient": uninterpreted("quotient", requires=arithmetic.QUOTIENT.requires)},
+    stand_ins={"quotient": stand_in("quotient", requires=arithmetic.QUOTIENT.requires)},
 )
 
 
@@ -481,10 +468,10 @@ def _is_informed_estimate(result: Any, _sums_after: Any, sums: Any, x_hat: Any, 
     one too small. The rest of the division shows which: S - x alpha is below alpha, or from there to below
     2 alpha. It has less than 64 bits, so that it may be formed modulo 2^64.
     """
-    own_units = alpha_in_units(own_alpha)
-    alpha = sums["alpha"] + own_units
-    low = sums["alpha_x_low"] + product(low_word(own_units), x_hat)
-    high = sums["alpha_x_high"] + product(high_word(own_units), x_hat)
+    own_units = result_of("alpha_units", {"high": own_alpha, "low": own_alpha}, own_alpha)
+    alpha = sums["alpha"] + z3.Concat(own_units["high"], own_units["low"])
+    low = sums["alpha_x_low"] + product(own_units["low"], x_hat)
+    high = sums["alpha_x_high"] + product(own_units["high"], x_hat)
     # The mean is in units of 2^-32, and x in units of 2^-23.
     x = z3.LShR(result_of("round_mean", 32, alpha, low, high), 9)
     zero_word = z3.BitVecVal(0, 32)
@@ -497,10 +484,7 @@ def _is_informed_estimate(result: Any, _sums_after: Any, sums: Any, x_hat: Any, 
 # design: R21
 INFORMED_ESTIMATE = Contract(
     _is_informed_estimate,
-    stand_ins={
-        "alpha_units": _call_alpha_units,
-        **{name: uninterpreted(name) for name in ("round_mean", "multiply")},
-    },
+    stand_ins={name: stand_in(name) for name in ("alpha_units", "round_mean", "multiply")},
 )
 
 CONTRACTS = {

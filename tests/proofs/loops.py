@@ -8,8 +8,8 @@ import z3
 from pycparser import c_ast
 
 from proofs.machine import Machine, all_paths
-from proofs.prove import Contract, always, prove_contract, prove_obligations
-from proofs.source import Program, nodes
+from proofs.prove import Contract, always, prove_contract
+from proofs.source import Program, nodes, variables_changed_by
 
 LIMITS = {
     ("is_valid_table", "hash_index"): (0, 129),
@@ -43,7 +43,7 @@ def prove_loops_end(code: Program, name: str) -> None:
         prove_contract(code, name, {name: Contract(always, REQUIREMENTS.get(name, always))})
     for loop in nodes(function, c_ast.For):
         names_in_head = _names_in(loop.init, loop.cond, loop.next)
-        changed_names = names_in_head & _variables_changed_by(loop.stmt)
+        changed_names = names_in_head & variables_changed_by(loop.stmt)
         assert not changed_names, f"{name}: the body of a loop changes {changed_names}"
         _prove_head_ends(code, name, loop, names_in_head)
 
@@ -51,15 +51,11 @@ def prove_loops_end(code: Program, name: str) -> None:
 def _prove_head_ends(code: Program, name: str, loop: Any, names_in_head: set[str]) -> None:
     """Prove that a ``for`` ends with an empty body. The variables in its head may have any value at first."""
     loop_without_body = c_ast.For(loop.init, loop.cond, loop.next, c_ast.EmptyStatement(), loop.coord)
-
-    def execute_loop(machine: Machine) -> None:
+    for machine in all_paths(code):
         for declaration in nodes(code.functions[name], c_ast.Decl):
             if declaration.name in names_in_head:
                 _declare_unknown(machine, name, declaration)
-        machine.execute(loop_without_body)
-
-    for machine, _result in all_paths(lambda path: Machine(code, decisions=path), execute_loop):
-        prove_obligations(machine, name)
+        machine.evaluate(loop_without_body)
 
 
 def _declare_unknown(machine: Machine, function_name: str, declaration: Any) -> None:
@@ -74,15 +70,3 @@ def _declare_unknown(machine: Machine, function_name: str, declaration: Any) -> 
 def _names_in(*trees: Any) -> set[str]:
     """Return the names that occur in some syntax trees. Parts that a loop's head lacks are None."""
     return {identifier.name for tree in trees if tree for identifier in nodes(tree, c_ast.ID)}
-
-
-def _variables_changed_by(statement: Any) -> set[str]:
-    """Return the variables that a statement may change, as it assigns to them or takes their address.
-
-    An array is not among them if only its elements are changed.
-    """
-    targets = [assignment.lvalue for assignment in nodes(statement, c_ast.Assignment)]
-    for unary in nodes(statement, c_ast.UnaryOp):
-        if unary.op in ("++", "--", "p++", "p--", "&"):
-            targets.append(unary.expr)
-    return {target.name for target in targets if isinstance(target, c_ast.ID)}

@@ -6,8 +6,8 @@ uses; anything else raises an error. A value in memory is one of these:
 - a ``Number``
 - a ``Pointer``
 - a ``ConstantTable``
-- a dictionary for a structure or an array: values by the names of members, or by the indices of elements. A
-  union has its first member alone.
+- a dictionary for a structure or an array: values by the names of members, or by the indices of elements
+- a ``Union``
 """
 
 from __future__ import annotations
@@ -20,16 +20,9 @@ from typing import Any
 import z3
 from pycparser import c_ast
 
-from proofs.numbers import (
-    IntegerType,
-    Number,
-    apply_operator,
-    compare,
-    constant,
-    constant_value,
-    convert,
-)
-from proofs.source import Program, documented_max_shift, documented_max_turns, nodes
+from proofs.numbers import IntegerType, Number, apply_operator, compare, constant, constant_value, convert
+from proofs.solver import prove
+from proofs.source import Program, documented_max_shift, documented_max_turns, nodes, variables_changed_by
 
 _COMPARISON_SYMBOLS = ("<", "<=", ">", ">=", "==", "!=")
 INTEGER_TYPES = {
@@ -64,21 +57,22 @@ class Pointer:
     container: Any
     key: str | int | Number
 
-    def select(self, *names: str) -> Pointer:
-        """Return a pointer to a member, some members further down, of what this one points to."""
-        pointer = self
-        for name in names:
-            pointer = Pointer(pointer.container[pointer.key], name)
-        return pointer
 
+class Union(dict[str, Any]):
+    """A union, as a dictionary with one entry: the member that was written or read last.
 
-@dataclass(frozen=True)
-class Obligation:
-    """A claim that must hold under everything that is known where the program makes it."""
+    Attributes:
+        declarations: All members, by name.
+    """
 
-    facts: tuple[Any, ...]
-    claim: Any
-    description: str
+    def __init__(self, declarations: Mapping[str, Any], name: str, value: Any) -> None:
+        super().__init__({name: value})
+        self.declarations = declarations
+
+    def bits(self) -> Any:
+        """Return the bits of the union as one long word. The lowest ones stand first in memory."""
+        words = [_bits_of(value) for value in _leaves_of(self)]
+        return z3.Concat(*reversed(words)) if len(words) > 1 else words[0]
 
 
 class Return(Exception):  # noqa: N818 - it is no error
@@ -100,13 +94,13 @@ class Machine:
     """A symbolic execution of one function on one path.
 
     Where a condition is open the path forks: the machine takes the condition for true, and ``other_paths``
-    gets the decisions that lead to the other side. ``all_paths`` executes those in turn.
+    gets the decisions that lead to the other side. ``all_paths`` goes there in turn. What the code relies on
+    is proved where it is met.
 
     Attributes:
         facts: What is known: of the unknown numbers, and the conditions under which the program gets here.
-        obligations: The claims that were met for the first time on this path, and must be proved.
-        argument_terms: Terms of the function's arguments before the call, by name.
-        after_loop_turn: Called after each turn of an innermost loop.
+        loop_invariant: What holds after each turn of an innermost loop, or None. It takes the terms of the
+            function's variables by name, and returns a formula.
         decisions: What was decided at each fork so far, or will be.
         other_paths: Decisions of the paths that leave this one.
     """
@@ -121,9 +115,7 @@ class Machine:
         self.summaries = summaries or {}
         self.int_type = IntegerType(program.variant.int_bits, signed=True)
         self.facts: list[Any] = []
-        self.obligations: list[Obligation] = []
-        self.argument_terms: dict[str, Any] = {}
-        self.after_loop_turn: Callable[[Machine], None] | None = None
+        self.loop_invariant: Callable[[dict[str, Any]], Any] | None = None
         self.decisions = list(decisions)
         self.other_paths: list[tuple[bool, ...]] = []
         self._forks_passed = 0
@@ -158,9 +150,16 @@ class Machine:
             length = constant_value(self.evaluate(type_.dim).term)
             assert length is not None
             return {index: self._build_value(type_.type, name, make_number) for index in range(length)}
+        declarations = {member.name: member.type for member in type_.decls}
+        # The round's estimates and sums share memory, too. But by the robot's filter a call uses one of them,
+        # and never reads the one after writing the other: the contracts of receive and settle say so. So the
+        # machine has both, as if they were members of a structure.
+        if isinstance(type_, c_ast.Union) and "sums" not in declarations:
+            first_name, first_type = next(iter(declarations.items()))
+            return Union(declarations, first_name, self._build_value(first_type, first_name, make_number))
         return {
-            member.name: self._build_value(member.type, member.name, make_number)
-            for member in _members_of(type_)
+            member_name: self._build_value(member_type, member_name, make_number)
+            for member_name, member_type in declarations.items()
         }
 
     def _pointer_to_fresh_target(self, declaration: Any, name: str) -> Pointer:
@@ -176,10 +175,6 @@ class Machine:
         """Return an unknown argument: for an array, a pointer to its first element."""
         value = self.fresh_value(parameter.type, parameter.name)
         return Pointer(value, 0) if isinstance(parameter.type, c_ast.ArrayDecl) else value
-
-    def constant_argument(self, parameter: Any, value: int) -> Number:
-        """Return an argument with a known value."""
-        return constant(value, self._resolve_type(parameter.type))
 
     # --- Paths, assumptions and claims ---
 
@@ -199,18 +194,13 @@ class Machine:
         self.facts.append(condition if decision else opposite)
         return decision
 
-    @property
-    def last_decision(self) -> bool:
-        """What was decided at the last fork that the path has passed."""
-        return self.decisions[self._forks_passed - 1]
-
     def require(self, formula: Any, description: str) -> None:
-        """Add an obligation: the formula must hold here."""
-        # Up to its last known decision, this path is the same as an earlier one, which has the obligations.
+        """Prove that a formula holds here. Raises UnprovenError, with the description, if it might not."""
+        # Up to its last known decision, this path is the same as an earlier one, which had the same proofs.
         is_repetition = self._forks_passed < len(self.decisions)
         # What simplifies to true needs no proof.
         if not is_repetition and not z3.is_true(z3.simplify(formula)):
-            self.obligations.append(Obligation(tuple(self.facts), formula, description))
+            prove(formula, *self.facts, description=description)
 
     @contextmanager
     def _supposing(self, condition: Any) -> Iterator[None]:
@@ -265,7 +255,7 @@ class Machine:
             self.declare(parameter.name, parameter.type, argument)
         result = None
         try:
-            self.execute(self._function.body)
+            self.evaluate(self._function.body)
         except Return as return_:
             (result,) = return_.args
         self._function, self.variables = caller
@@ -273,68 +263,81 @@ class Machine:
 
     # --- Statements ---
 
-    def execute(self, node: Any) -> None:
-        """Execute a statement. Each kind has a method, ``_execute_if`` for c_ast.If."""
-        method_name = f"_execute_{type(node).__name__.lower()}"
-        getattr(self, method_name, self.evaluate)(node)
+    def evaluate(self, node: Any) -> Any:
+        """Execute a statement, or return the value of an expression.
 
-    def _execute_compound(self, node: Any) -> None:
+        Each kind of node has a method, ``_evaluate_cast`` for c_ast.Cast. Another kind is an error.
+        """
+        return getattr(self, f"_evaluate_{type(node).__name__.lower()}")(node)
+
+    def _evaluate_compound(self, node: Any) -> None:
         for statement in node.block_items or []:
-            self.execute(statement)
+            self.evaluate(statement)
 
-    def _execute_decllist(self, node: Any) -> None:
+    def _evaluate_decllist(self, node: Any) -> None:
         for declaration in node.decls:
-            self.execute(declaration)
+            self.evaluate(declaration)
 
-    def _execute_decl(self, node: Any) -> None:
+    def _evaluate_decl(self, node: Any) -> None:
         """Declare a variable, which may have any value if the program gives it none."""
-        if isinstance(node.init, c_ast.InitList):
-            initial_value = self._evaluate_initializer(self._resolve_type(node.type), node.init)
-        elif node.init is not None:
-            initial_value = self.evaluate(node.init)
+        if node.init is not None:
+            initial_value = self._evaluate_initializer(node.type, node.init)
         else:
             initial_value = self.fresh_value(node.type, node.name)
         self.declare(node.name, node.type, initial_value)
 
-    def _execute_return(self, node: Any) -> None:
+    def _evaluate_return(self, node: Any) -> None:
         result = None if node.expr is None else self.evaluate(node.expr)
         raise Return(self._convert(result, self._resolve_type(self._function.decl.type.type)))
 
-    def _execute_if(self, node: Any) -> None:
+    def _evaluate_if(self, node: Any) -> None:
         if self.holds(self.evaluate_condition(node.cond)):
-            self.execute(node.iftrue)
+            self.evaluate(node.iftrue)
         elif node.iffalse is not None:
-            self.execute(node.iffalse)
+            self.evaluate(node.iffalse)
 
-    def _execute_for(self, node: Any) -> None:
+    def _evaluate_for(self, node: Any) -> None:
         if node.init is not None:
-            self.execute(node.init)
-        self._execute_while(node)
+            self.evaluate(node.init)
+        self._evaluate_while(node)
 
-    def _execute_while(self, node: Any) -> None:
+    def _evaluate_while(self, node: Any) -> None:
         """Execute the turns of a loop: after the documented number its condition must be false."""
         max_turns = documented_max_turns(node)
         for _turn in range(max_turns):
             if not self.holds(self.evaluate_condition(node.cond)):
                 return
-            self.execute(node.stmt)
-            # An invariant replaces what is known after the turn, before the counter moves.
-            if self.after_loop_turn is not None and not any(nodes(node.stmt, c_ast.For)):
-                self.after_loop_turn(self)
+            forks_before = self._forks_passed
+            self.evaluate(node.stmt)
+            if self.loop_invariant is not None and not any(nodes(node.stmt, c_ast.For)):
+                self._forget_turn(node.stmt, forks_before)
             if isinstance(node, c_ast.For):
                 self.evaluate(node.next)
         description = f"at most {max_turns} turns of the loop in line {node.coord.line}"
         self.require(z3.Not(self.evaluate_condition(node.cond)), description)
 
-    def _execute_emptystatement(self, node: Any) -> None:
+    def _forget_turn(self, body: Any, forks_before: int) -> None:
+        """Claim the invariant, and let the code after a turn rely on nothing else that the turn did.
+
+        The variables that the loop's body changes may then hold anything that fulfils the invariant. So the
+        formulas stay as short as for one turn. As the rest is the same on all paths through the turn, one of
+        them goes on, and the others end here.
+        """
+        for kind in (c_ast.ArrayRef, c_ast.StructRef, c_ast.FuncCall):
+            assert not any(nodes(body, kind)), "a turn that may change more than variables"
+        assert self.loop_invariant is not None
+        self.require(self.loop_invariant(terms_of(self.variables)), "the invariant of a loop")
+        if False in self.decisions[forks_before : self._forks_passed]:
+            raise PathEndsError
+        for name in variables_changed_by(body):
+            self.variables[name] = self.fresh_number(name, self.variables[name].type)
+        # The first fact is what the function requires.
+        self.facts[1:] = [self.loop_invariant(terms_of(self.variables))]
+
+    def _evaluate_emptystatement(self, node: Any) -> None:
         """Do nothing."""
 
     # --- Expressions ---
-
-    def evaluate(self, node: Any) -> Any:
-        """Return the value of an expression. Each kind has a method, ``_evaluate_cast`` for c_ast.Cast."""
-        method_name = f"_evaluate_{type(node).__name__.lower()}"
-        return getattr(self, method_name)(node)
 
     def evaluate_condition(self, node: Any) -> Any:
         """Return the formula that an expression is not 0."""
@@ -386,11 +389,7 @@ class Machine:
         return self.variables[node.name]
 
     def _evaluate_structref(self, node: Any) -> Any:
-        """Return a member of a structure, or of one that a pointer points to."""
-        structure = self.evaluate(node.name)
-        if node.type == "->":
-            structure = self.load(structure)
-        return structure[node.field.name]
+        return self.load(self._locate(node))
 
     def _evaluate_arrayref(self, node: Any) -> Any:
         return self.load(self._locate(node))
@@ -442,22 +441,10 @@ class Machine:
     def _evaluate_assignment(self, node: Any) -> Any:
         right_operand = self.evaluate(node.rvalue)
         if node.op == "=":
-            if _is_long_word_of_bytes(node.lvalue):
-                return self._clear_eight_bytes(node.lvalue, right_operand)
             return self.store(self._locate(node.lvalue), right_operand)
         symbol = node.op.removesuffix("=")
         self._require_documented_shift(node, symbol, right_operand)
         return self._update(node.lvalue, symbol, right_operand)
-
-    def _clear_eight_bytes(self, target: Any, value: Number) -> Number:
-        """Store 0 in a long word of the union of senders heard, which has its bytes in ``of`` alone."""
-        word_index = constant_value(self.evaluate(target.subscript).term)
-        assert constant_value(value.term) == 0, "long words of a union of bytes are cleared, nothing else"
-        assert word_index is not None
-        heard = self.evaluate(target.name.name)
-        for byte_index in range(8 * word_index, 8 * word_index + 8):
-            self.store(Pointer(heard["of"], byte_index), value)
-        return value
 
     def _evaluate_funccall(self, node: Any) -> Any:
         """Call a function with its arguments converted to the types of its parameters."""
@@ -494,7 +481,9 @@ class Machine:
             return Pointer(self.variables, node.name)
         if isinstance(node, c_ast.StructRef):
             structure = self.evaluate(node.name)
-            return Pointer(self.load(structure) if node.type == "->" else structure, node.field.name)
+            if node.type == "->":
+                structure = self.load(structure)
+            return self._locate_member(structure, node.field.name)
         if isinstance(node, c_ast.ArrayRef):
             return self._locate_element(node)
         if isinstance(node, c_ast.UnaryOp) and node.op == "*":
@@ -502,6 +491,20 @@ class Machine:
             assert isinstance(pointer, Pointer)
             return pointer
         raise NotImplementedError(f"{type(node).__name__} as a place")
+
+    def _locate_member(self, structure: Any, name: str) -> Pointer:
+        """Return a pointer to a member. A union then has this one, made of the bits of the one it had."""
+        if isinstance(structure, Union) and name not in structure:
+            bits, lowest_bit = structure.bits(), 0
+
+            def take_number(_name: str, type_: IntegerType) -> Number:
+                nonlocal lowest_bit
+                lowest_bit += type_.bits
+                return Number(z3.Extract(lowest_bit - 1, lowest_bit - type_.bits, bits), type_)
+
+            structure.clear()
+            structure[name] = self._build_value(structure.declarations[name], name, take_number)
+        return Pointer(structure, name)
 
     def _locate_element(self, node: Any) -> Pointer:
         """Return a pointer to an element: of an array, or of one that a pointer points to the begin of."""
@@ -563,33 +566,26 @@ class Machine:
         bits = self.int_type.bits
         return Number(z3.If(condition, z3.BitVecVal(1, bits), z3.BitVecVal(0, bits)), self.int_type)
 
-    def _evaluate_initializer(self, type_: Any, node: Any) -> Any:
-        """Return the value of a structure or union that is declared with a list of values."""
+    def _evaluate_initializer(self, declaration: Any, node: Any) -> Any:
+        """Return the value of what is declared with a value or with a list of values."""
+        type_ = self._resolve_type(declaration)
+        if not isinstance(node, c_ast.InitList):
+            return self._convert(self.evaluate(node), type_)
+        if isinstance(type_, c_ast.ArrayDecl):
+            return dict(enumerate(self._evaluate_initializer(type_.type, element) for element in node.exprs))
+        declarations = {member.name: member.type for member in type_.decls}
         if isinstance(type_, c_ast.Union):
-            return self._evaluate_union_initializer(node)
-        member_types = {member.name: self._resolve_type(member.type) for member in type_.decls}
+            # One member has a value: the one that is named, or the first one.
+            (expression,) = node.exprs
+            name = next(iter(declarations))
+            if isinstance(expression, c_ast.NamedInitializer):
+                name, expression = expression.name[0].name, expression.expr
+            return Union(declarations, name, self._evaluate_initializer(declarations[name], expression))
         # Members that the list leaves out are 0.
         members = self._build_value(type_, "", lambda _, number_type: constant(0, number_type))
-        for (name, member_type), expression in zip(member_types.items(), node.exprs, strict=False):
-            if not isinstance(member_type, (IntegerType, c_ast.PtrDecl)):
-                raise NotImplementedError(f"a value for {name}, which is no number and no pointer")
-            members[name] = self._convert(self.evaluate(expression), member_type)
+        for name, expression in zip(declarations, node.exprs, strict=False):
+            members[name] = self._evaluate_initializer(declarations[name], expression)
         return members
-
-    def _evaluate_union_initializer(self, node: Any) -> dict[str, Any]:
-        """Return the member that a union is read by: one list initialises one, and the other one is read.
-
-        The headers have two unions: a binary32 and its bits; a long word and its two halves on an AVR.
-        """
-        (initializer,) = node.exprs
-        if isinstance(initializer, c_ast.Cast):
-            return {"bits": Number(z3.fpToIEEEBV(self.evaluate(initializer)), INTEGER_TYPES["int32_t"])}
-        if initializer.name[0].name == "both":
-            both, word_type = self.evaluate(initializer.expr).term, INTEGER_TYPES["uint32_t"]
-            low, high = z3.Extract(31, 0, both), z3.Extract(63, 32, both)
-            return {"word": {0: Number(low, word_type), 1: Number(high, word_type)}}
-        low, high = (self.evaluate(half).term for half in initializer.expr.exprs)
-        return {"both": Number(z3.Concat(high, low), INTEGER_TYPES["uint64_t"])}
 
     def _resolve_type(self, declaration: Any) -> Any:
         """Return the integer type, structure, union, array or pointer that is declared.
@@ -608,23 +604,14 @@ class Machine:
         return self.int_type if isinstance(declaration, c_ast.Enum) else declaration
 
 
-def all_paths(
-    make_machine: Callable[[tuple[bool, ...]], Machine], run: Callable[[Machine], Any]
-) -> Iterator[tuple[Machine, Any]]:
-    """Execute ``run`` on every path, and yield the machine of each path with its result.
-
-    The result is None for a path that PathEndsError has ended. ``make_machine`` takes the decisions that lead
-    to a path.
-    """
+def all_paths(program: Program, summaries: Mapping[str, Summary] | None = None) -> Iterator[Machine]:
+    """Yield a new machine for every path, on which the caller executes the same each time."""
     waiting_paths: list[tuple[bool, ...]] = [()]
     while waiting_paths:
-        machine = make_machine(waiting_paths.pop())
-        try:
-            result = run(machine)
-        except PathEndsError:
-            result = None
+        machine = Machine(program, summaries, waiting_paths.pop())
+        yield machine
+        # The machine has met these forks while the caller had it.
         waiting_paths += machine.other_paths
-        yield machine, result
 
 
 def terms_of(value: Any) -> Any:
@@ -639,27 +626,26 @@ def terms_of(value: Any) -> Any:
 
 def copy_value(value: Any) -> Any:
     """Return a copy of a value. Pointers in it point to the same place as those in the value."""
+    if isinstance(value, Union):
+        ((name, member),) = value.items()
+        return Union(value.declarations, name, copy_value(member))
     if isinstance(value, dict):
         return {name: copy_value(member) for name, member in value.items()}
     return value
 
 
-def _members_of(type_: Any) -> list[Any]:
-    """Return the members that the machine stores: all of a structure, but only the first one of a union.
-
-    The union of a round's estimates and sums is an exception. The machine stores both, as if it were a
-    structure: by the robot's filter a call uses one of them, and it never reads the one after writing the
-    other. The contracts of receive and settle say so.
-    """
-    members: list[Any] = type_.decls
-    has_sums = any(member.name == "sums" for member in members)
-    return members if isinstance(type_, c_ast.Struct) or has_sums else members[:1]
+def _leaves_of(value: Any) -> Iterator[Any]:
+    """Yield the values of all members and elements, in their order in memory."""
+    if not isinstance(value, dict):
+        yield value
+        return
+    for member in value.values():
+        yield from _leaves_of(member)
 
 
-def _is_long_word_of_bytes(target: Any) -> bool:
-    """Return whether an assignment is to a long word of the union of senders heard."""
-    is_element_of_member = isinstance(target, c_ast.ArrayRef) and isinstance(target.name, c_ast.StructRef)
-    return is_element_of_member and target.name.field.name == "all"
+def _bits_of(value: Any) -> Any:
+    """Return the bits of a number or of a float, as memory has them."""
+    return value.term if isinstance(value, Number) else z3.fpToIEEEBV(value)
 
 
 def _has_effects(node: Any) -> bool:

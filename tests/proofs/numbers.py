@@ -58,12 +58,6 @@ def convert(number: Number, type_: IntegerType) -> Number:
 
 
 Operator = Callable[[Any, Any], Any]
-_OVERFLOW_CHECKS: dict[str, tuple[Operator, ...]] = {
-    "+": (lambda a, b: z3.BVAddNoOverflow(a, b, True), z3.BVAddNoUnderflow),
-    "-": (z3.BVSubNoOverflow, lambda a, b: z3.BVSubNoUnderflow(a, b, True)),
-    "*": (lambda a, b: z3.BVMulNoOverflow(a, b, True), z3.BVMulNoUnderflow),
-}
-"""The formulas that a signed operator neither exceeds the largest value nor falls below the smallest."""
 _OPERATORS: dict[str, Operator] = {
     **{"+": operator.add, "-": operator.sub, "*": operator.mul, "<<": operator.lshift},
     **{"&": operator.and_, "|": operator.or_, "^": operator.xor, "==": operator.eq, "!=": operator.ne},
@@ -91,10 +85,14 @@ def apply_operator(symbol: str, left_operand: Number, right_operand: Number, req
         right_operand = convert(right_operand, IntegerType(type_.bits))
     elif symbol in ("/", "%"):
         require(right_operand.term != 0, "division by 0")
-    elif type_.signed and symbol in _OVERFLOW_CHECKS:
-        for is_within_range in _OVERFLOW_CHECKS[symbol]:
-            require(is_within_range(left_operand.term, right_operand.term), f"overflow of {symbol}")
-    return Number(OPERATORS[type_.signed][symbol](left_operand.term, right_operand.term), type_)
+    operate = OPERATORS[type_.signed][symbol]
+    result = Number(operate(left_operand.term, right_operand.term), type_)
+    if type_.signed and symbol in ("+", "-", "*"):
+        # Twice as many bits hold every result.
+        long_type = IntegerType(2 * type_.bits, signed=True)
+        exact_term = operate(convert(left_operand, long_type).term, convert(right_operand, long_type).term)
+        require(convert(result, long_type).term == exact_term, f"overflow of {symbol}")
+    return result
 
 
 def compare(symbol: str, left_operand: Number, right_operand: Number) -> Any:

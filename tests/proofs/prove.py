@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -10,68 +10,13 @@ from typing import Any
 
 import z3
 
-from proofs.integers import as_integers
-from proofs.machine import Machine, Pointer, Summary, all_paths, terms_of
-from proofs.numbers import Number
+from proofs.machine import Machine, PathEndsError, Pointer, Summary, all_paths, terms_of
+from proofs.numbers import Number, constant
+from proofs.solver import UnprovenError, check_satisfiable, prove
 from proofs.source import Program
 
-STEP_LIMITS = (4 * 10**6, 64 * 10**6)
-"""The solver's steps for one query, in one attempt after the other."""
 Formula = Callable[..., Any]
 """Takes terms, and returns a formula of them."""
-
-
-class UnprovenError(AssertionError):
-    """Some values break a claim, or the solver cannot settle it."""
-
-
-def prove(formula: Any, *facts: Any, description: str = "") -> None:
-    """Prove that the formula holds for all values for which the facts hold.
-
-    Raises UnprovenError, with values that break the formula or with the reason why the solver gave up.
-    """
-    # There is a proof if nothing satisfies the facts and the opposite.
-    answer, solver = _check_satisfiable(*facts, z3.Not(formula))
-    if answer == z3.sat:
-        raise UnprovenError(f"{description}: broken by {solver.model()}")
-    if answer == z3.unknown:
-        raise UnprovenError(f"{description}: not settled, {solver.reason_unknown()}")
-
-
-def _check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
-    """Return z3's answer whether all of the formulas can hold, and the solver that gave it.
-
-    Each attempt has a context of its own and counts steps, not time. So the answer depends on the text of the
-    formulas alone, and not on queries before or on the load of the machine.
-    """
-    bit_text, integer_text = _solver_text(formulas), None
-    if "bvmul" in bit_text or "bvudiv" in bit_text:
-        # If as_integers() cannot translate a formula, there is no query of integers. No claim is proved by
-        # that: the query of words, which has all of the formulas, has to be settled instead. Nothing in this
-        # block executes C, so an error of the machine about C that it does not know is never suppressed.
-        with suppress(NotImplementedError):
-            integer_text = _solver_text(as_integers(formulas))
-    # Another seed and more steps may settle what an attempt has not: the solver's search is a heuristic.
-    for seed, step_limit in enumerate(STEP_LIMITS):
-        for query_text in (integer_text, bit_text):
-            if query_text is None:
-                continue
-            context = z3.Context()
-            # The first settles integers within moments, the second bits.
-            solver = z3.SimpleSolver(ctx=context) if query_text is integer_text else z3.Solver(ctx=context)
-            solver.set(random_seed=seed, rlimit=step_limit)
-            solver.from_string(query_text)
-            answer = solver.check()
-            if answer != z3.unknown:
-                return answer, solver
-    return answer, solver
-
-
-def _solver_text(formulas: Iterable[Any]) -> str:
-    """Return the text that the solver reads: the formulas, and the sort of each name in them."""
-    solver = z3.SimpleSolver()
-    solver.add(*formulas)
-    return str(solver.sexpr())
 
 
 def always(*_terms: Any) -> Any:
@@ -92,8 +37,9 @@ class Contract:
         constant_values: The values of that parameter. Each has a proof of its own.
         used_lemmas: Called functions of which the proof of ``ensures`` knows their contracts alone.
         stand_ins: Summaries of other called functions in that proof.
-        make_loop_invariant: Makes what is called after each turn of the function's loops, for one path: it
-            claims what holds after the turn, and lets nothing else be known of what the turn did.
+        loop_invariant: What holds after each turn of the function's innermost loops, and is all that its
+            proof knows of what a turn did. It takes two dictionaries of terms by name: the function's
+            arguments before the call, and its variables after the turn.
     """
 
     ensures: Formula
@@ -102,7 +48,7 @@ class Contract:
     constant_values: tuple[int, ...] = (0,)
     used_lemmas: tuple[str, ...] = ()
     stand_ins: Mapping[str, Summary] = field(default_factory=dict)
-    make_loop_invariant: Callable[[], Callable[[Machine], None]] | None = None
+    loop_invariant: Formula | None = None
 
 
 Contracts = Mapping[str, Contract]
@@ -116,23 +62,17 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
     """
     contract = contracts[name]
     summaries = _summaries_of_callees(program, contract, contracts)
-
-    def make_machine(decisions: tuple[bool, ...]) -> Machine:
-        machine = Machine(program, summaries, decisions)
-        if contract.make_loop_invariant is not None:
-            machine.after_loop_turn = contract.make_loop_invariant()
-        return machine
-
     for constant_value in contract.constant_values:
         constants = {contract.constant_parameter: constant_value}
-        run = partial(_run_function, name=name, requires=contract.requires, constants=constants)
         is_possible = False
-        for machine, terms in all_paths(make_machine, run):
-            prove_obligations(machine, name)
-            if terms is not None:
+        for machine in all_paths(program, summaries):
+            with suppress(PathEndsError):
+                terms = _run_function(machine, name, contract, constants)
                 # One path is enough: the solver is not asked about the others.
-                is_possible = is_possible or _check_satisfiable(*machine.facts)[0] == z3.sat
-                _prove_each(_each(contract.ensures(*terms)), machine, name)
+                is_possible = is_possible or check_satisfiable(*machine.facts)[0] == z3.sat
+                for formula in _each(contract.ensures(*terms)):
+                    prove(formula, *machine.facts, description=name)
+                    machine.facts.append(formula)  # known in the proof of the next one
         # If no arguments fulfilled the facts, any result would.
         if not is_possible:
             raise UnprovenError(f"{name}: nothing is found that satisfies what is taken for known")
@@ -143,21 +83,8 @@ def _summaries_of_callees(program: Program, contract: Contract, contracts: Contr
     summaries = dict(contract.stand_ins)
     for lemma in contract.used_lemmas:
         requires = _requires_proved_constant(program, lemma, contracts[lemma])
-        summaries[lemma] = any_result(lemma, requires, contracts[lemma].ensures)
+        summaries[lemma] = stand_in(lemma, requires=requires, ensures=contracts[lemma].ensures)
     return summaries
-
-
-def _prove_each(formulas: Iterable[Any], machine: Machine, name: str) -> None:
-    """Prove formulas at the end of a path. Those that are proved are facts in the proof of the next one."""
-    for formula in formulas:
-        prove(formula, *machine.facts, description=name)
-        machine.facts.append(formula)
-
-
-def prove_obligations(machine: Machine, name: str) -> None:
-    """Prove the machine's obligations: they are claims on which the code of the function relies."""
-    for obligation in machine.obligations:
-        prove(obligation.claim, *obligation.facts, description=f"{name}: {obligation.description}")
 
 
 def _requires_proved_constant(program: Program, name: str, contract: Contract) -> Formula:
@@ -173,22 +100,15 @@ def _requires_proved_constant(program: Program, name: str, contract: Contract) -
     return requires
 
 
-def prove_lemma(
-    program: Program, name: str, contracts: Contracts, done_proofs: set[Any] | None = None
-) -> None:
-    """Prove that the function keeps its contract, unless this proof is among ``done_proofs``, and add it.
+def proof_key(program: Program, name: str, contracts: Contracts) -> Any:
+    """Return all that the proof of a contract depends on, so that what has the same key is proved once.
 
-    A proof is done if the contract, the text of the function, and the lemmas that it relies on are the same.
-    Raises UnprovenError if the function breaks its contract for some arguments.
+    That is the contract, the text of the function, and the lemmas that its proof relies on.
     """
     contract = contracts[name]
     # The code of functions with a stand-in is not executed, so it does not belong to the key.
     code_text = program.definition_text(name, {*contract.used_lemmas, *contract.stand_ins})
-    proof_key = (code_text, contract, *(contracts[lemma] for lemma in contract.used_lemmas))
-    if done_proofs is None or proof_key not in done_proofs:
-        prove_contract(program, name, contracts)
-    if done_proofs is not None:
-        done_proofs.add(proof_key)
+    return code_text, contract, *(contracts[lemma] for lemma in contract.used_lemmas)
 
 
 def _each(formulas: Any) -> list[Any]:
@@ -196,22 +116,23 @@ def _each(formulas: Any) -> list[Any]:
     return list(formulas) if isinstance(formulas, (list, tuple)) else [formulas]
 
 
-def _run_function(machine: Machine, name: str, requires: Formula, constants: Mapping[str, int]) -> list[Any]:
-    """Run a function on unknown arguments that fulfil ``requires``, and on some constants by parameter.
+def _run_function(machine: Machine, name: str, contract: Contract, constants: Mapping[str, int]) -> list[Any]:
+    """Run a function on unknown arguments that fulfil its contract, and on some constants by parameter.
 
     Return the terms that ``Contract.ensures`` takes.
     """
-    arguments: list[Any] = []
+    arguments = {}
     for parameter in machine.program.parameters(name):
+        argument = machine.fresh_argument(parameter)
         if parameter.name in constants:
-            arguments.append(machine.constant_argument(parameter, constants[parameter.name]))
-        else:
-            arguments.append(machine.fresh_argument(parameter))
-        machine.argument_terms[parameter.name] = terms_of(arguments[-1])
-    argument_terms = list(machine.argument_terms.values())
-    machine.facts.append(requires(*argument_terms))
-    result = machine.call(name, *arguments)
-    return [*_result_terms(result, arguments), *argument_terms]
+            argument = constant(constants[parameter.name], argument.type)
+        arguments[parameter.name] = argument
+    argument_terms = terms_of(arguments)
+    machine.facts.append(contract.requires(*argument_terms.values()))
+    if contract.loop_invariant is not None:
+        machine.loop_invariant = partial(contract.loop_invariant, argument_terms)
+    result = machine.call(name, *arguments.values())
+    return [*_result_terms(result, arguments.values()), *argument_terms.values()]
 
 
 def _result_terms(result: Any, arguments: Iterable[Any]) -> list[Any]:
@@ -223,74 +144,51 @@ def _result_terms(result: Any, arguments: Iterable[Any]) -> list[Any]:
 # --- Stand-ins for called functions ------------------------------------------------------------------------
 
 
-Writer = Callable[[Machine, Sequence[Any], Sequence[Any]], Any]
-"""Executes a call: it takes a machine, arguments and their terms, writes to memory and returns the result."""
-
-
-def any_result(name: str, requires: Formula = always, ensures: Formula = always) -> Summary:
-    """Return a stand-in for a function of which these formulas alone are known, as those of a ``Contract``.
-
-    It may return anything, and write anything where it may write. Only pointers in structures stay as they
-    are: no function writes one.
-    """
-
-    def write_anything(machine: Machine, arguments: Sequence[Any], _terms: Sequence[Any]) -> Any:
-        for parameter, argument in zip(machine.program.parameters(name), arguments, strict=True):
-            # A function only reads through a pointer to constants.
-            if not isinstance(argument, Pointer) or "const" in parameter.type.type.quals:
-                continue
-            targets = argument.container if argument.key == 0 else {argument.key: machine.load(argument)}
-            for key, target in targets.items():
-                argument.container[key] = _fresh_like(machine, name, target)
-        return machine.fresh_value(machine.program.signatures[name].type, name)
-
-    return _stand_in(name, requires, ensures, write_anything)
-
-
-def uninterpreted(
+def stand_in(
     name: str, *changed_members: str, requires: Formula = always, ensures: Formula = always
 ) -> Summary:
-    """Return a stand-in for a function whose result depends on its arguments alone: see ``result_of``.
+    """Return what stands for a called function of which these formulas alone are known, as of a ``Contract``.
 
-    It changes these members of what the first argument points to, also depending on its arguments alone, and
-    nothing else. ``requires`` and ``ensures`` are as those of a ``Contract``.
-    """
-
-    def write_results(machine: Machine, arguments: Sequence[Any], terms: Sequence[Any]) -> Any:
-        for member_name in changed_members:
-            pointer = arguments[0].select(member_name)
-            old_member = machine.load(pointer)
-            new_terms = result_of(f"{name} {member_name}", terms_of(old_member), *terms)
-            machine.store(pointer, _with_terms(old_member, new_terms))
-        result = machine.fresh_value(machine.program.signatures[name].type, name)
-        return None if result is None else _with_terms(result, result_of(name, terms_of(result), *terms))
-
-    return _stand_in(name, requires, ensures, write_results)
-
-
-def _stand_in(name: str, requires: Formula, ensures: Formula, write: Writer) -> Summary:
-    """Return a stand-in that lets ``write`` execute the call.
-
-    It obliges the caller to ``requires``, and lets ``ensures`` be known after the call.
+    Its result and what it writes may be anything, but depend on its arguments alone: see ``result_of``. Of
+    what its first argument points to it changes these members or, without any, all that it may write.
     """
 
     def call(machine: Machine, *arguments: Any) -> Any:
         # The contract speaks of arguments as they were before the call, which may change their targets.
-        argument_terms = [terms_of(argument) for argument in arguments]
-        machine.require(requires(*argument_terms), f"what {name} requires")
-        result = write(machine, arguments, argument_terms)
-        promise = _each(ensures(*_result_terms(result, arguments), *argument_terms))[-1]
+        terms = [terms_of(argument) for argument in arguments]
+        machine.require(requires(*terms), f"what {name} requires")
+        places = [Pointer(machine.load(arguments[0]), member) for member in changed_members]
+        if not changed_members:
+            parameters = machine.program.parameters(name)
+            places = [place for pair in zip(parameters, arguments, strict=True) for place in _written(*pair)]
+        for place in places:
+            machine.store(place, _results_like(machine.load(place), f"{name} {place.key}", terms))
+        result = machine.fresh_value(machine.program.signatures[name].type, name)
+        result = _results_like(result, name, terms)
+        promise = _each(ensures(*_result_terms(result, arguments), *terms))[-1]
         machine.facts.append(promise)
         return result
 
     return call
 
 
-def _fresh_like(machine: Machine, name: str, value: Any) -> Any:
-    """Return an unknown value with the structure of this one; pointers are the same."""
+def _written(parameter: Any, argument: Any) -> list[Pointer]:
+    """Return pointers to what a function may write through an argument: nothing if it points to constants."""
+    if not isinstance(argument, Pointer) or "const" in parameter.type.type.quals:
+        return []
+    # A pointer to the first element stands for the array.
+    keys = list(argument.container) if argument.key == 0 else [argument.key]
+    return [Pointer(argument.container, key) for key in keys]
+
+
+def _results_like(value: Any, name: str, arguments: list[Any]) -> Any:
+    """Return a value as this one, with results of unknown functions as its numbers.
+
+    Pointers in it are the same: no function writes one.
+    """
     if isinstance(value, dict):
-        return {key: _fresh_like(machine, name, member) for key, member in value.items()}
-    return machine.fresh_number(name, value.type) if isinstance(value, Number) else value
+        return {key: _results_like(member, f"{name} {key}", arguments) for key, member in value.items()}
+    return Number(result_of(name, value.term, *arguments), value.type) if isinstance(value, Number) else value
 
 
 def result_of(name: str, shape: Any, *arguments: Any) -> Any:
@@ -313,10 +211,3 @@ def _iterate_words(terms: Any) -> Iterator[Any]:
             yield from _iterate_words(member)
     elif isinstance(terms, z3.ExprRef):
         yield terms
-
-
-def _with_terms(value: Any, terms: Any) -> Any:
-    """Return terms as numbers that have the types, and the structure, of a value."""
-    if isinstance(value, dict):
-        return {key: _with_terms(member, terms[key]) for key, member in value.items()}
-    return Number(terms, value.type)

@@ -16,8 +16,8 @@ import z3
 
 from proofs.arithmetic import QUOTIENT, high_word, low_word, zero_extend
 from proofs.machine import ConstantTable, Machine, Pointer
-from proofs.numbers import IntegerType, Number, convert
-from proofs.prove import Contract, result_of, uninterpreted
+from proofs.numbers import IntegerType, Number
+from proofs.prove import Contract, result_of, stand_in
 
 ROBUST = 3
 """The configuration's value for the robust filter."""
@@ -76,11 +76,6 @@ def gain_shift(votes: Any) -> Any:
     for bits in range(7, 11):
         shift = z3.If(z3.UGE(votes, 2 ** (bits - 1)), z3.BitVecVal(bits - 3, 32), shift)
     return shift
-
-
-def _call_leading_zeros(machine: Machine, value: Number) -> Number:
-    """Stand in for leading_zeros() by its lemma, which no other number fulfils."""
-    return convert(machine.count_leading_zeros(Number(value.term | 1, value.type)), value.type)
 
 
 def is_in_range(statistics: dict[str, Any]) -> Any:
@@ -182,17 +177,16 @@ NEXT_SLOT = Contract(_is_next_slot, requires=_has_filled_slot, used_lemmas=("lea
 VOTE_STATISTICS = Contract(
     _are_statistics_after_vote,
     requires=_may_count_vote,
-    used_lemmas=("shift_right",),
-    stand_ins={"leading_zeros": _call_leading_zeros},
+    used_lemmas=("leading_zeros", "shift_right"),
 )
 VOTE = Contract(
     _is_vote,
     requires=may_vote,
     stand_ins={
-        "next_slot": uninterpreted(
+        "next_slot": stand_in(
             "next_slot", requires=_has_filled_slot, ensures=lambda slot, *_: z3.ULE(slot, SLOTS)
         ),
-        "statistics_after_vote": uninterpreted("statistics_after_vote", requires=_may_count_vote),
+        "statistics_after_vote": stand_in("statistics_after_vote", requires=_may_count_vote),
     },
 )
 
@@ -237,7 +231,7 @@ def _twelve_dispersions(robot: Any) -> Any:
 
 # design: R38
 ROBUST_TEST = Contract(
-    _is_robust_test, stand_ins={name: uninterpreted(name) for name in ("multiply", "multiply_high")}
+    _is_robust_test, stand_ins={name: stand_in(name) for name in ("multiply", "multiply_high")}
 )
 
 # --- A run of the filter ------------------------------------------------------------------------------------
@@ -307,8 +301,8 @@ END_BATCH = Contract(
     _is_batch_ended,
     requires=_is_robust_robot,
     stand_ins={
-        "quotient": uninterpreted("quotient", requires=QUOTIENT.requires),
-        **{name: uninterpreted(name) for name in ("multiply", "multiply_high")},
+        "quotient": stand_in("quotient", requires=QUOTIENT.requires),
+        **{name: stand_in(name) for name in ("multiply", "multiply_high")},
     },
 )
 
@@ -398,13 +392,11 @@ RUN = Contract(
     requires=may_run,
     stand_ins={
         "sort_estimates": _call_sort_estimates,
-        "quotient": uninterpreted("quotient", requires=QUOTIENT.requires),
-        "end_batch": uninterpreted(
-            "end_batch", "robust", requires=_is_robust_robot, ensures=keeps_initial_b_hat
-        ),
-        "reestimate": uninterpreted("reestimate", requires=has_observed, ensures=is_b_hat_or_zero),
+        "quotient": stand_in("quotient", requires=QUOTIENT.requires),
+        "end_batch": stand_in("end_batch", "robust", requires=_is_robust_robot, ensures=keeps_initial_b_hat),
+        "reestimate": stand_in("reestimate", requires=has_observed, ensures=is_b_hat_or_zero),
         **{
-            name: uninterpreted(name)
+            name: stand_in(name)
             for name in ("median_distance", "huber_step", "robust_test_rejects", "is_supported")
         },
     },

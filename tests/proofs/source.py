@@ -148,6 +148,18 @@ def nodes(root: Any, kind: type[Any]) -> Iterator[Any]:
         yield from nodes(child, kind)
 
 
+def variables_changed_by(statement: Any) -> set[str]:
+    """Return the variables that a statement may change, as it assigns to them or takes their address.
+
+    An array is not among them if only its elements are changed.
+    """
+    targets = [assignment.lvalue for assignment in nodes(statement, c_ast.Assignment)]
+    for unary in nodes(statement, c_ast.UnaryOp):
+        if unary.op in ("++", "--", "p++", "p--", "&"):
+            targets.append(unary.expr)
+    return {target.name for target in targets if isinstance(target, c_ast.ID)}
+
+
 @cache
 def program(variant: Variant, path: Path = HEADER) -> Program:
     """Return the program of a file and a variant; each is parsed once."""

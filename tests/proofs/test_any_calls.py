@@ -11,7 +11,7 @@ import pytest
 import z3
 
 from proofs.arithmetic import are_leading_zeros
-from proofs.prove import prove
+from proofs.solver import prove
 from proofs.source import AVR, INCLUDE, SOURCES, VARIANTS, Variant
 from support import CORE, require, run
 

@@ -1,187 +1,204 @@
-"""The machine executes C as the standard defines it.
-
-A right claim about a function has a proof. A wrong claim is refused, and so is code whose behaviour C leaves
-undefined. Each case is a function of two unknown words, a and b.
-"""
+"""The machine gives C the meaning that a compiler gives it, and refuses what C leaves undefined."""
 
 from __future__ import annotations
 
+import ctypes
+import random
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import pytest
 import z3
 
-from proofs.prove import Contract, UnprovenError, always, prove_contract
-from proofs.source import Program, Variant
+from proofs.arithmetic import RECIPROCAL_LIMITS
+from proofs.machine import INTEGER_TYPES, all_paths, terms_of
+from proofs.numbers import IntegerType, Number, constant
+from proofs.prove import Contract, always, prove_contract
+from proofs.solver import UnprovenError
+from proofs.source import ARITHMETIC, HEADER, HERE, Program, Variant, program
+from support import run, slow
 
-TWO_BRANCHES = "uint32_t r = 0; if (a > 7U) { r += 1U; } if (b > 7U) { r += 2U; } return r;"
+WORD = INTEGER_TYPES["uint32_t"]
+
+
+def results_on_paths(code: Program, name: str, *arguments: Number) -> list[tuple[Any, Any]]:
+    """Execute a function, and return for each path the condition under which it is taken, and its result."""
+    results = []
+    for machine in all_paths(code):
+        result = terms_of(machine.call(name, *arguments))
+        if isinstance(result, dict):  # a pair of words
+            result = z3.Concat(result["high"], result["low"])
+        results.append((z3.And(machine.facts), result))
+    return results
+
+
+def compile_library(folder: Path, source_text: str, *flags: str) -> ctypes.CDLL:
+    """Compile a C file into a library, both in a folder."""
+    (folder / "calls.c").write_text(source_text, encoding="utf-8")
+    run("gcc", "-std=gnu99", "-O1", "-shared", "-fPIC", *flags, "calls.c", "-o", "calls.so", cwd=folder)
+    return ctypes.CDLL(str(folder / "calls.so"))
+
+
+# --- Unknown numbers ---------------------------------------------------------------------------------------
+
+EDGES = (0, 1, 3, 6, 8, 200, 2**31 - 1, 2**31, 2**32 - 1)
+
+
+def function_text(body: str) -> str:
+    """Return the text of a C file with a function f of two words a and b, which has this body."""
+    return f"#include <stdint.h>\nuint32_t f(uint32_t a, uint32_t b) {{ {body} }}\n"
 
 
 def parse_function(folder: Path, body: str) -> Program:
-    """Parse a function f of two words with this body, in a file in a folder."""
+    """Parse a function f of two words a and b with this body, in a file in a folder."""
     path = folder / "f.c"
-    path.write_text(
-        f"#include <stdint.h>\nuint32_t f(uint32_t a, uint32_t b) {{ {body} }}\n", encoding="utf-8"
-    )
+    path.write_text(function_text(body), encoding="utf-8")
     return Program(path, Variant("1000"))
 
 
-def is_below_half(word: Any) -> Any:
-    """Return that the highest bit of a word is 0."""
-    return z3.ULT(word, 2**31)
+BODIES = {
+    "two branches": ("uint32_t r = 0; if (a > 7U) { r += 1U; } if (b > 7U) { r += 2U; } return r;"),
+    "a longer type repeats the sign": "return (uint32_t)(int8_t)(a & 255U);",
+    "a shift to the right repeats the sign": "return (uint32_t)((int32_t)a >> 1);",
+    "a shorter type keeps the lower bits": "const uint8_t sum = (uint8_t)(a + b); return sum;",
+    "a negative number becomes a large one beside an unsigned one": "return (int32_t)a < 7U;",
+    "a hexadecimal number that fits no int is unsigned": "return (int32_t)a < 0x80000000;",
+    "a choice has the type of both its operands": "return (a > 7U ? -1 : b) > 7U;",
+    "a truth value is 1 for every number but 0": "const _Bool is_set = (_Bool)a; return is_set;",
+    "an unknown element is written": (
+        "uint32_t words[2]; words[0] = a; words[1] = b; words[b & 1U] = 0; return words[0];"
+    ),
+    "a variable is written through a pointer": "uint32_t *p = &a; *p = b; return a;",
+    "the value of a++ is the old one": "const uint32_t old = a++; return old;",
+    "a loop has no turn, or some": (
+        "while (a > 3U) { /* at most 3 turns */ a = a > 5U ? 5U : a - 1U; } return a;"
+    ),
+    "the right operand counts if the left one is true": "return b != 0U && a / b > 1U;",
+    "the right operand counts if the left one is false": "return b == 0U || a / b > 1U;",
+    "the members of a union share their bits": (
+        "union { uint32_t word; uint8_t bytes[4]; } u = {a}; u.bytes[2] = (uint8_t)b; return u.word;"
+    ),
+}
+"""Bodies of functions of two words, a and b, by the rule of C that each shows."""
 
 
-@pytest.mark.parametrize(
-    ("body", "right_claim", "wrong_claim"),
-    [
-        pytest.param(
-            TWO_BRANCHES,
-            lambda r, a, b: z3.Implies(r == 1, z3.And(z3.UGT(a, 7), z3.ULE(b, 7))),
-            lambda r, a, b: r != 1,
-            id="the second branch is not taken after the first one was",
-        ),
-        pytest.param(
-            TWO_BRANCHES,
-            lambda r, a, b: z3.Implies(r == 2, z3.And(z3.ULE(a, 7), z3.UGT(b, 7))),
-            lambda r, a, b: r != 2,
-            id="the second branch is taken after the first one was not",
-        ),
-        pytest.param(
-            "return (uint32_t)(int8_t)(a & 255U);",
-            lambda r, a, b: z3.Implies(a & 128 != 0, z3.UGE(r, 2**32 - 128)),
-            lambda r, a, b: z3.ULE(r, 255),
-            id="a longer type repeats the sign",
-        ),
-        pytest.param(
-            "return (uint32_t)((int32_t)a >> 1);",
-            lambda r, a, b: z3.Implies(is_below_half(r), is_below_half(a)),
-            lambda r, a, b: is_below_half(r),
-            id="a shift to the right repeats the sign",
-        ),
-        pytest.param(
-            "const uint8_t sum = (uint8_t)(a + b); return sum;",
-            lambda r, a, b: r == (a + b) & 255,
-            lambda r, a, b: r == a + b,
-            id="a shorter type keeps the lower bits",
-        ),
-        pytest.param(
-            "return (int32_t)a < 7U;",
-            lambda r, a, b: (r == 1) == z3.ULT(a, 7),
-            lambda r, a, b: z3.Implies(a < 0, r == 1),
-            id="a negative number becomes a large one beside an unsigned one",
-        ),
-        pytest.param(
-            "return (int32_t)a < 0x80000000;",
-            lambda r, a, b: (r == 1) == z3.ULT(a, 2**31),
-            lambda r, a, b: r == 0,
-            id="a hexadecimal number that fits no int is unsigned",
-        ),
-        pytest.param(
-            "const _Bool is_set = (_Bool)a; return is_set;",
-            lambda r, a, b: (r == 1) == (a != 0),
-            lambda r, a, b: r == a & 1,
-            id="a truth value is 1 for every number but 0",
-        ),
-        pytest.param(
-            "uint32_t words[2]; words[0] = a; words[1] = b; words[b & 1U] = 0; return words[0];",
-            lambda r, a, b: z3.Implies(b & 1 == 1, r == a),
-            lambda r, a, b: r == a,
-            id="an unknown element is written",
-        ),
-        pytest.param(
-            "uint32_t *p = &a; *p = b; return a;",
-            lambda r, a, b: r == b,
-            lambda r, a, b: r == a,
-            id="a variable is written through a pointer",
-        ),
-        pytest.param(
-            "const uint32_t old = a++; return old;",
-            lambda r, a, b: r == a,
-            lambda r, a, b: r == a + 1,
-            id="the value of a++ is the old one",
-        ),
-        pytest.param(
-            "while (a > 3U) { /* at most 3 turns */ a = a > 5U ? 5U : a - 1U; } return a;",
-            lambda r, a, b: z3.ULE(r, 3),
-            lambda r, a, b: r == 3,
-            id="a loop has no turn, or some",
-        ),
-        pytest.param(
-            "return b != 0U && a / b > 1U;",
-            lambda r, a, b: z3.Implies(b == 0, r == 0),
-            lambda r, a, b: r == 0,
-            id="the right operand counts if the left one is true",
-        ),
-    ],
-)
-def test_a_right_claim_about_a_function_has_a_proof_and_a_wrong_one_has_none(
-    body: str, right_claim: Any, wrong_claim: Any, tmp_path: Path
-) -> None:
-    """A claim takes the result r and both arguments. The wrong claim is one that some arguments break."""
-    code = parse_function(tmp_path, body)
-    prove_contract(code, "f", {"f": Contract(right_claim)})
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES.keys())
+def test_a_function_of_unknown_numbers_means_what_a_compiler_makes_of_it(body: str, tmp_path: Path) -> None:
+    """The function has two words a and b, which may be anything, so that it has a path for each decision.
 
-    with pytest.raises(UnprovenError, match="broken by"):
-        prove_contract(code, "f", {"f": Contract(wrong_claim)})
-
-
-@pytest.mark.parametrize(
-    ("defined_body", "undefined_body", "description"),
-    [
-        pytest.param(
-            # b & 32U may be 32, and a has 32 bits.
-            "if (a > 7U) { a = 7U; } return a << (b & 31U);",
-            "if (a > 7U) { a = 7U; } return a << (b & 32U);",
-            "shift by the width",
-            id="a shift, behind a branch",
-        ),
-        pytest.param(
-            "return b > 7U ? a >> 31 : a;",
-            "return b > 7U ? a >> 32 : a;",
-            "shift by the width",
-            id="a shift in a condition's operand",
-        ),
-        pytest.param(
-            # The quotient comes before the comparison of b with 0.
-            "return b == 0U || a / b > 1U;",
-            "return a / b > 1U || b == 0U;",
-            "division by 0",
-            id="a division",
-        ),
-        pytest.param(
-            # The sum of two numbers of 31 bits may exceed the largest int32_t.
-            "return (uint32_t)((int32_t)(a >> 2) + (int32_t)(b >> 2));",
-            "return (uint32_t)((int32_t)(a >> 1) + (int32_t)(b >> 1));",
-            "overflow of +",
-            id="a sum of signed numbers",
-        ),
-        pytest.param(
-            # a % 4U may be 3, and the last element is words[2].
-            "uint32_t words[3]; words[a % 3U] = b; return words[0];",
-            "uint32_t words[3]; words[a % 4U] = b; return words[0];",
-            "an element",
-            id="an index",
-        ),
-        pytest.param(
-            # b & 3U may be 3, and i then has the values 0 to 3, in four turns.
-            "for (uint32_t i = 0; i < (b & 3U); ++i) { /* at most 3 turns */ ++a; } return a;",
-            "for (uint32_t i = 0; i <= (b & 3U); ++i) { /* at most 3 turns */ ++a; } return a;",
-            "at most 3 turns",
-            id="a loop",
-        ),
-    ],
-)
-def test_code_that_c_leaves_undefined_or_that_breaks_its_bound_is_refused(
-    defined_body: str, undefined_body: str, description: str, tmp_path: Path
-) -> None:
-    """Two bodies differ in one place, where the second breaks a rule of C, or a bound that a comment states.
-
-    The contract says nothing about the result of f. So the proof of the second body can only fail at the code
-    in this place, and the error has the ``description`` of what is wrong there.
+    Each pair of edges meets the conditions of one path, whose result is then that of the compiled function.
     """
-    contracts = {"f": Contract(always)}
-    prove_contract(parse_function(tmp_path, defined_body), "f", contracts)
+    unknown_words = [Number(z3.BitVec(name, 32), WORD) for name in "ab"]
+    paths = results_on_paths(parse_function(tmp_path, body), "f", *unknown_words)
+    library = compile_library(tmp_path, function_text(body))
 
+    for a, b in product(EDGES, repeat=2):
+        values = [
+            (word.term, z3.BitVecVal(value, 32)) for word, value in zip(unknown_words, (a, b), strict=True)
+        ]
+        (result,) = [
+            z3.simplify(z3.substitute(result, *values))
+            for condition, result in paths
+            if z3.is_true(z3.simplify(z3.substitute(condition, *values)))
+        ]
+        assert result.as_signed_long() == library.f(ctypes.c_uint32(a), ctypes.c_uint32(b)), (a, b)
+
+
+UNDEFINED_BODIES = {
+    # b & 32U may be 32, and a has 32 bits.
+    "if (a > 7U) { a = 7U; } return a << (b & 32U);": "shift by the width",
+    "return b > 7U ? a >> 32 : a;": "shift by the width",
+    # The quotient comes before the comparison of b with 0.
+    "return a / b > 1U || b == 0U;": "division by 0",
+    # The sum of two numbers of 31 bits may exceed the largest int32_t.
+    "return (uint32_t)((int32_t)(a >> 1) + (int32_t)(b >> 1));": "overflow of +",
+    # a % 4U may be 3, and the last element is words[2].
+    "uint32_t words[3]; words[a % 4U] = b; return words[0];": "an element",
+    # b & 3U may be 3, and i then has the values 0 to 3, in four turns.
+    "for (uint32_t i = 0; i <= (b & 3U); ++i) { /* at most 3 turns */ ++a; } return a;": "at most 3 turns",
+}
+"""Errors by the body of a function of two words, a and b, for which C leaves something open."""
+
+
+@pytest.mark.parametrize(("body", "description"), UNDEFINED_BODIES.items(), ids=UNDEFINED_BODIES.values())
+def test_code_that_c_leaves_undefined_or_that_breaks_its_bound_is_refused(
+    body: str, description: str, tmp_path: Path
+) -> None:
+    """The body breaks a rule of C, or a bound that a comment states, for some words a and b.
+
+    The contract says nothing about the result. So its proof can only fail at the code that breaks the rule,
+    and the error has the ``description`` of what is wrong there.
+    """
     with pytest.raises(UnprovenError, match=description):
-        prove_contract(parse_function(tmp_path, undefined_body), "f", contracts)
+        prove_contract(parse_function(tmp_path, body), "f", {"f": Contract(always)})
+
+
+# --- The arithmetic ----------------------------------------------------------------------------------------
+
+LIMITS = {"count": 31, "bits": 12, "prepared": 2**17}
+"""The largest values of parameters that are not any number."""
+LONG_EDGES = (0, 1, 2**15, 2**16, 2**29, 2**30, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**62, 2**63, 2**64 - 1)
+
+
+@pytest.mark.parametrize("variant", [HERE[0], *slow(HERE[1:])], ids=str)
+def test_the_arithmetic_means_what_a_compiler_makes_of_it(variant: Variant, tmp_path: Path) -> None:
+    """Each of its functions, called twelve times with random numbers, gives the same in both.
+
+    A variant is how a target divides and shifts.
+    """
+    code, rng = program(variant), random.Random(str(variant))
+    types_by_function = functions_of_numbers(code)
+    assert len(types_by_function) > 10
+    calling_functions = [calling_function(code, name) for name in types_by_function]
+    source_text = "\n".join(['#include "mcp_asdf_arithmetic.h"', *calling_functions])
+    library = compile_library(tmp_path, source_text, f"-I{HEADER.parent}", *variant.flags())
+
+    for name, types in 12 * list(types_by_function.items()):
+        arguments = [draw_argument(parameter, type_, rng) for parameter, type_ in types.items()]
+        numbers = map(constant, arguments, types.values())
+        ((_condition, result),) = results_on_paths(code, name, *numbers)
+        compiled_function = library[f"call_{name}"]
+        compiled_function.restype = ctypes.c_uint64
+        compiled_result = compiled_function(*map(ctypes.c_uint64, arguments))
+        assert z3.simplify(result).as_long() == compiled_result, f"{name}{tuple(arguments)}, {variant}"
+
+
+def functions_of_numbers(code: Program) -> dict[str, dict[str, IntegerType]]:
+    """Return the functions of the arithmetic that take numbers alone, with their parameters' types by name.
+
+    Where reciprocals come from a table or from the compiler, functions that need one are left out.
+    """
+    functions = {}
+    for name in code.defined_in(*ARITHMETIC):
+        types = {}
+        for parameter in code.parameters(name):
+            *_, type_name = getattr(parameter.type.type, "names", [""])  # a pointer has none
+            if type_name in INTEGER_TYPES:
+                types[parameter.name] = INTEGER_TYPES[type_name]
+        takes_numbers_alone = len(types) == len(code.parameters(name))
+        needs_reciprocal = code.variant.divide in RECIPROCAL_LIMITS and "prepare" in code.closure(name)
+        if takes_numbers_alone and not needs_reciprocal:
+            functions[name] = types
+    return functions
+
+
+def draw_argument(name: str, type_: IntegerType, rng: random.Random) -> int:
+    """Draw an edge, or a number of any length, for a parameter of that name."""
+    if name in LIMITS:
+        return rng.randint(1, LIMITS[name])
+    if rng.random() < 0.3:
+        return rng.choice(LONG_EDGES) & type_.maximum
+    return rng.getrandbits(rng.randint(1, type_.bits))
+
+
+def calling_function(code: Program, name: str) -> str:
+    """Return the text of a C function that calls a function of this name; it takes and returns long words."""
+    parameters = [parameter.name for parameter in code.parameters(name)]
+    declarations = ", ".join(f"uint64_t {parameter}" for parameter in parameters)
+    result = f"{name}({', '.join(parameters)})"
+    if "word_pair_t" in code.functions[name].decl.type.type.type.names:
+        body = f"const word_pair_t pair = {result}; return join(pair.high, pair.low);"
+    else:
+        body = f"return {result};"
+    return f"uint64_t call_{name}({declarations}) {{ {body} }}"

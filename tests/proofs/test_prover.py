@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 import z3
 
-from proofs import arithmetic
-from proofs import prove as prover
+from proofs import arithmetic, solver
 from proofs.integers import as_integers
-from proofs.prove import Contract, UnprovenError, always, prove, prove_lemma
+from proofs.prove import Contract, always, prove_contract
+from proofs.solver import UnprovenError, prove
 from proofs.source import CORE, VARIANTS, program
 
 CODE = program(VARIANTS[0], CORE)
@@ -30,7 +30,7 @@ def test_a_claim_that_some_number_breaks_is_not_proved() -> None:
 
 def test_a_claim_that_the_solver_cannot_settle_is_not_proved(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is true: a prime has no factors. But the solver gives up before it has tried all numbers."""
-    monkeypatch.setattr(prover, "STEP_LIMITS", (10**5,))
+    monkeypatch.setattr(solver, "STEP_LIMITS", (10**5,))
     p, q = z3.BitVecs("p q", 64)
     large_prime = 16769023
     with pytest.raises(UnprovenError, match="not settled"):
@@ -100,7 +100,7 @@ def test_a_contract_that_no_argument_meets_has_no_proof() -> None:
     """A claim about all arguments of an empty set says nothing about a function."""
     for_no_argument = Contract(always, requires=never)
     with pytest.raises(UnprovenError, match="nothing is found"):
-        prove_lemma(CODE, "add", {"add": for_no_argument})
+        prove_contract(CODE, "add", {"add": for_no_argument})
 
 
 def test_a_call_that_breaks_what_the_called_function_requires_has_no_proof() -> None:
@@ -111,7 +111,7 @@ def test_a_call_that_breaks_what_the_called_function_requires_has_no_proof() -> 
     }
 
     with pytest.raises(UnprovenError, match="what multiply requires"):
-        prove_lemma(CODE, "multiply_high", contracts)
+        prove_contract(CODE, "multiply_high", contracts)
 
 
 def test_a_call_with_a_constant_for_which_a_lemma_has_no_proof_is_refused() -> None:
@@ -120,13 +120,4 @@ def test_a_call_with_a_constant_for_which_a_lemma_has_no_proof_is_refused() -> N
     contracts = {**lemmas, "take_digit": replace(lemmas["take_digit"], constant_values=(7,))}
 
     with pytest.raises(UnprovenError, match="what take_digit requires"):
-        prove_lemma(CODE, "divide_24", contracts)
-
-
-def test_a_function_that_was_proved_for_one_contract_is_not_taken_as_proved_for_another() -> None:
-    """``prove_lemma`` adds to ``done_proofs`` what it has proved. add() never keeps the second contract."""
-    done_proofs = set[Any]()
-    prove_lemma(CODE, "add", {"add": Contract(always)}, done_proofs)
-
-    with pytest.raises(UnprovenError):
-        prove_lemma(CODE, "add", {"add": Contract(never)}, done_proofs)
+        prove_contract(CODE, "divide_24", contracts)
