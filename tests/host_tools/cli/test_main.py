@@ -477,12 +477,10 @@ def is_accepted(command: str, options: list[str]) -> bool:
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_the_examples_below_a_help_are_accepted_by_their_commands(name: str) -> None:
     """An example of ``name`` may call another command. At least one of them calls the command itself."""
-    commands_of_examples = []
-    for command, options in examples_of(name):
-        assert is_accepted(command, options), f"{command} {options}"
-        commands_of_examples.append(command)
-
-    assert name in commands_of_examples
+    examples = examples_of(name)
+    for example in examples:
+        assert is_accepted(example.command, example.options), example
+    assert name in [example.command for example in examples]
 
 
 @pytest.fixture
@@ -500,46 +498,39 @@ def folder_with_readings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 def test_examples_below_a_help_print_the_lines_that_the_help_shows_below_them(
     name: str, capsys: Capture
 ) -> None:
-    """Every example of the command ``name`` is run. Those of node and radio would need a second program."""
-    for example in examples_up_to_the_last_output(name):
-        assert cli.main(shlex.split(example.command, comments=True)) == 0
+    """The examples of the command ``name`` are run, up to the last one whose output is shown.
+
+    Earlier ones may make files that it reads. Those of node and radio would need a second program.
+    """
+    examples = examples_of(name)
+    while examples and not examples[-1].shown_lines:
+        examples.pop()
+    for example in examples:
+        assert cli.main([example.command, *example.options]) == 0
         printed_lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
         for shown_line in example.shown_lines:
-            assert shown_line in printed_lines, example.command
+            assert shown_line in printed_lines, example
 
 
 class Example(NamedTuple):
-    """An example below a help: the command without "mcp-asdf", and the lines shown of its output."""
+    """An example below a help: the name of a command, its options, and the lines shown of its output."""
 
     command: str
+    options: list[str]
     shown_lines: list[str]
 
 
-def examples_up_to_the_last_output(name: str) -> list[Example]:
-    """Return the examples below a command's help; what they print stands further to the right below them.
+def examples_of(name: str) -> list[Example]:
+    """Return the examples below a command's help; what one prints stands further to the right below it.
 
-    Those behind the last one with output are left out. Earlier ones may make files that a later one reads.
+    Comments are left out.
     """
     matches = re.findall(r"^  mcp-asdf (.*)\n((?:      .*\n)*)", cli._load(name).EPILOG, re.MULTILINE)
-    examples = [
-        Example(command, [line.strip() for line in output.splitlines()]) for command, output in matches
-    ]
-    while examples and not examples[-1].shown_lines:
-        examples.pop()
-    return examples
-
-
-def examples_of(name: str) -> list[tuple[str, list[str]]]:
-    """Return the examples below a command's help: the command of each, and its options.
-
-    Comments, and files to which a shell would write the output, are left out.
-    """
     examples = []
-    for line in cli._load(name).EPILOG.splitlines():
-        if line.startswith("  mcp-asdf "):
-            line_without_output_file, _, _ = line.partition(" > ")
-            _, command, *options = shlex.split(line_without_output_file, comments=True)
-            examples.append((command, options))
+    for line, output in matches:
+        command, *options = shlex.split(line, comments=True)
+        shown_lines = [shown_line.strip() for shown_line in output.splitlines()]
+        examples.append(Example(command, options, shown_lines))
     return examples
 
 
