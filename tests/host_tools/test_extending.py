@@ -8,7 +8,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -92,20 +92,6 @@ def test_a_firmware_whose_name_two_installed_packages_offer_is_refused(package: 
 # --- The commands of the page ----------------------------------------------------------------------------
 
 
-class CommandLines(NamedTuple):
-    """The four commands of the page, which stand in one block."""
-
-    simulate_firmware: str
-    simulate_topology_and_sensor: str
-    swarm: str
-    sweep: str
-
-
-def command_lines_of_page() -> CommandLines:
-    (script,) = blocks(PAGE, "sh")
-    return CommandLines(*script.splitlines())
-
-
 def run_in_package(command_line: str, package: Path) -> Any:
     """Run a command of the page where it finds the page's package, and return the JSON that it prints."""
     output = run(*command_line.split(), "--json", cwd=package, PYTHONPATH=str(package))
@@ -122,30 +108,18 @@ def test_the_commands_of_the_documentation_of_extensions_print_what_it_shows(pac
 
 
 @pytest.mark.slow
-def test_the_documented_command_simulates_the_firmware_of_the_documented_package(package: Path) -> None:
-    line = command_lines_of_page().simulate_firmware
-    assert line.startswith("mcp-asdf simulate ")
-    assert run_in_package(line, package)["parameters"]["firmware"] == "beta"
-
-
-@pytest.mark.slow
-def test_the_documented_command_simulates_the_topology_and_the_sensor_of_the_documented_package(
+def test_the_documented_swarm_has_the_firmware_topology_and_sensor_of_the_documented_package(
     package: Path,
 ) -> None:
-    line = command_lines_of_page().simulate_topology_and_sensor
-    assert line.startswith("mcp-asdf simulate ")
-    parameters = run_in_package(line, package)["parameters"]
+    """Its command names all three by options, as the two before it do that simulate trials."""
+    [commands] = blocks(PAGE, "sh")
+    _simulate_firmware, _simulate_topology_and_sensor, swarm, _sweep = commands.splitlines()
+    report = run_in_package(swarm, package)
 
-    assert parameters["topology"] == "geometric"
-    assert parameters["sensor"] == "wandering"
-
-
-@pytest.mark.slow
-def test_the_documented_command_runs_a_swarm_with_extensions_for_200_steps(package: Path) -> None:
-    """The command is the third of four in the documentation of extensions."""
-    line = command_lines_of_page().swarm
-    assert line.startswith("mcp-asdf swarm ")
-    assert run_in_package(line, package)["results"]["steps"] == 200
+    assert report["parameters"]["firmware"] == "beta"
+    assert report["parameters"]["topology"] == "geometric"
+    assert report["parameters"]["sensor"] == "wandering"
+    assert report["results"]["steps"] == 200
 
 
 @pytest.mark.slow
@@ -153,11 +127,11 @@ def test_the_documented_sweep_has_eight_experiments_with_all_combinations_of_the
     package: Path,
 ) -> None:
     """Each extension makes a difference: the median scores, called H, of the eight experiments differ."""
-    line = command_lines_of_page().sweep
-    assert line.startswith("mcp-asdf sweep ")
-    assert "--workers 2" in line
+    [commands] = blocks(PAGE, "sh")
+    *_other_commands, sweep = commands.splitlines()
+    assert "--workers 2" in sweep
     combinations, median_scores = set(), set()
-    for experiment in run_in_package(line, package)["experiments"]:
+    for experiment in run_in_package(sweep, package)["experiments"]:
         parameters = experiment["parameters"]
         combinations.add((parameters["firmware"], parameters["topology"], parameters["sensor"]))
         median_scores.add(experiment["H"]["median"])
