@@ -217,7 +217,7 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, g_total: int, 
     denominator = rarer * (total - rarer)  # n (t - n), times 2**(2 count_shift)
     # numerator / denominator is alpha, times 2**-exponent:
     exponent = 64 - count_shift - 2 * accuracy.g_shift
-    # divide_24 takes numbers of 31 bits, and so the upper ones, which change the exponent.
+    # divide_24 takes numbers of 31 bits: the upper ones of both. The bits below count in the exponent.
     upper_numerator, bits_below_numerator = upper_bits(numerator, 31)
     upper_denominator, bits_below_denominator = upper_bits(denominator, 31)
     quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha

@@ -22,7 +22,7 @@ from dataclasses import dataclass, fields
 from fractions import Fraction
 from functools import cache
 from statistics import mean, stdev
-from typing import Any, Generic, NamedTuple, TypeVar, cast
+from typing import Any, Generic, NamedTuple, cast
 
 from mcp_asdf.robot import (
     B_HAT_MARGIN,
@@ -40,10 +40,7 @@ from mcp_asdf.robot import (
     create_rejection,
     describe_robot,
 )
-from mcp_asdf.robust_reference import TESTED_ESTIMATES_MIN, RobustReference
-
-Number = TypeVar("Number", float, Fraction)
-"""The type in which an equation is computed."""
+from mcp_asdf.robust_reference import TESTED_ESTIMATES_MIN, Number, RobustReference
 
 INFORMATIVE_G = 2.0**-12
 """Smallest |2 p - 1| of an accuracy, or a social estimate, p that carries information."""

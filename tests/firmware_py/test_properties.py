@@ -135,11 +135,6 @@ def test_a_confidence_that_is_a_float_is_rounded_down_to_whole_units(alpha: floa
 # --- Messages and sums -----------------------------------------------------------------------------------
 
 
-def shuffled(messages: list[RawMessage], seed: int) -> list[RawMessage]:
-    """Return the messages in a random order."""
-    return random.Random(seed).sample(messages, len(messages))
-
-
 # design: R20, R35
 @for_fixed_point_firmwares
 @pytest.mark.parametrize("config", [NO_FILTER, ROBUST], ids=["sums", "slots of the robust filter"])
@@ -156,8 +151,9 @@ def test_the_order_of_messages_changes_no_bit(
     robot = firmware(config, OWN_ID, b_hat=0.75)
     receive_raw_messages(robot, messages)
 
+    messages_in_another_order = random.Random(seed).sample(messages, len(messages))
     other_robot = firmware(config, OWN_ID, b_hat=0.75)
-    receive_raw_messages(other_robot, shuffled(messages, seed))
+    receive_raw_messages(other_robot, messages_in_another_order)
 
     assert robot.state() == other_robot.state()
 

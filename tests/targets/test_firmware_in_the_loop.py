@@ -349,12 +349,6 @@ def commands_for_a_swarm() -> tuple[list[str], str]:
     return commands, stop_the_board
 
 
-def sizes_of_image(path: Path) -> tuple[int, int]:
-    """Return how many bytes of flash and of variables an image takes."""
-    *_, rv32imc = TARGETS  # whose program ``size`` also reads the images of other targets
-    return Image(rv32imc, path).sizes()
-
-
 @pytest.mark.slow
 def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(tmp_path: Path) -> None:
     """In a swarm of ten robots one is the board. The last command repeats all broadcasts in Python.
@@ -372,7 +366,8 @@ def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(tmp_path:
     *_, output_of_replay = outputs
     broadcasts = 10 * 60  # of ten robots in 60 ticks
     assert re.search(rf"\b{broadcasts} +broadcasts reproduced bit for bit", output_of_replay)
-    bytes_of_flash, bytes_of_variables = sizes_of_image(tmp_path / "build/loop/slcan_robot")
+    *_, rv32imc = TARGETS  # whose program ``size`` also reads the images of other targets
+    bytes_of_flash, bytes_of_variables = Image(rv32imc, tmp_path / "build/loop/slcan_robot").sizes()
     assert bytes_of_flash < 8 * 1024
     assert bytes_of_variables < 1024
 

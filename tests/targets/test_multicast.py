@@ -95,11 +95,6 @@ OPTIONS = (
 ).split()
 
 
-def make_twin() -> RobotNode:
-    """Return the Python node that does what the C node does with OPTIONS."""
-    return python_node(ID, b_hat=0.75, subjects=SUBJECTS, steps_per_second=3, filter_period=4)
-
-
 def exchange(
     group: Group, twin: RobotNode, arrivals: list[Arrival]
 ) -> tuple[list[can.Message], list[can.Message]]:
@@ -138,7 +133,7 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     rng = random.Random(address)
     arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
     arrivals += map(arrival_of, commands_that_are_answered())  # these answers are the last ones
-    twin = make_twin()
+    twin = python_node(ID, b_hat=0.75, subjects=SUBJECTS, steps_per_second=3, filter_period=4)
     command = node_command(kind, tmp_path_factory)
     with joined(address) as group, CNode(command, interface(address), ID, *OPTIONS) as node:
         answers, expected_answers = exchange(group, twin, arrivals)
