@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from support import CORE, PAGES, ROOT, block_with, blocks, require, run
+from support import CORE, PAGES, blocks, require, run
 from targets.test_khepera import STAND_IN_FOR_LIBRARY
 
-README = ROOT / "README.md"
 PRINTING_CALL = re.compile(r"printf\(|\bputchar\(|\bputs\(")
 
 
@@ -49,12 +48,3 @@ def test_a_program_of_the_docs_prints_each_number_by_the_format_of_its_type(
 def test_the_pages_have_programs_that_print() -> None:
     """Otherwise the test before would compare nothing."""
     assert len(PROGRAMS) >= 4
-
-
-def test_the_program_of_the_readme_prints_what_the_readme_shows(tmp_path: Path) -> None:
-    """It is compiled for 32 bits, where a long has another size than here."""
-    (tmp_path / "robot.c").write_text(block_with(README, "int main", "c"), encoding="utf-8")
-    sources = (tmp_path / "robot.c", CORE)
-    run(require("gcc"), "-m32", "-std=c99", f"-I{CORE.parent}", *sources, "-o", tmp_path / "robot")
-
-    assert run(tmp_path / "robot") == block_with(README, "share of black 0.685", "text")
