@@ -108,33 +108,35 @@ class ExpectingConnection:
         """Frames that earlier calls have missed. They may still arrive."""
 
     def receive_expected(self, expected: Sequence[SentFrame], timeout: float | None) -> list[SentFrame]:
-        """Read until all expected and overdue frames have arrived, and return them as they were received.
+        """Read until all expected frames have arrived, and return them as they were received.
 
-        Overdue frames come first, then the others in the order of ``expected``, whatever the order in which
-        they arrive; of frames that are alike, those sent first count as received first. Frames that do not
-        arrive in time count as missed, and are overdue in the next call. Others that arrive meanwhile are
-        reported as unexpected. One frame at least has to be expected.
+        They come in the order of ``expected``, whatever the order in which they arrive; of frames that are
+        alike, those sent first count as received first. Frames that do not arrive in time count as missed,
+        and are overdue in later calls: these return them first, if they arrive meanwhile, but do not wait for
+        them. Frames that are neither expected nor overdue are reported as unexpected.
 
         Args:
-            expected: The frames to wait for.
+            expected: The frames to wait for, one at least.
             timeout: Seconds to wait; None if no frame may be missing.
 
         Raises:
             SwarmError: If ``timeout`` is None, and a frame is missing after FRAME_TIMEOUT seconds.
         """
-        awaited = [*self._overdue, *expected]
-        missing_counts = Counter(_identifier_and_data(sent_frame.frame) for sent_frame in awaited)
+        missing_overdue = _count_keys(self._overdue)
+        missing_expected = _count_keys(expected)
         arrived: ArrivedFrames = defaultdict(deque)
-        arrived_count = 0
         for frame in self._frames_within(FRAME_TIMEOUT if timeout is None else timeout):
-            content = _identifier_and_data(frame)
-            if missing_counts[content] == 0:
+            key = _identifier_and_data(frame)
+            if missing_overdue[key] > 0:
+                missing_overdue[key] -= 1
+            elif missing_expected[key] > 0:
+                missing_expected[key] -= 1
+            else:
                 self._on_unexpected(frame)
                 continue
-            missing_counts[content] -= 1
-            arrived[content].append(frame)
-            arrived_count += 1
-            if arrived_count == len(awaited):
+            arrived[key].append(frame)
+            # An overdue frame may be lost for ever: to wait for it would hold up every later tick.
+            if missing_expected.total() == 0:
                 break
 
         late, still_overdue = _split_by_arrival(self._overdue, arrived)
@@ -192,6 +194,11 @@ class ExpectingConnection:
 def _identifier_and_data(frame: can.Message) -> FrameKey:
     """Return the identifier and the data of a frame."""
     return frame.arbitration_id, bytes(frame.data)
+
+
+def _count_keys(sent_frames: Iterable[SentFrame]) -> Counter[FrameKey]:
+    """Return how many of the frames have each identifier and data."""
+    return Counter(_identifier_and_data(sent_frame.frame) for sent_frame in sent_frames)
 
 
 def _split_by_arrival(
