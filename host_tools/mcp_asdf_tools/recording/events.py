@@ -329,20 +329,12 @@ class EventsReader:
         return [self._last_estimates[sender] for sender in senders]
 
     def _read_values(self) -> Iterator[Any]:
-        """Yield the JSON value of each line, the header included. Raises UsageError if a line is not JSON."""
-        for line in self._read_lines():
-            try:
-                value = json.loads(line)
-            except (ValueError, RecursionError) as error:
-                raise self.error_in_line(f"not JSON ({error}); was the file cut?") from error
-            yield value
+        """Yield the JSON value of each line, the header included.
 
-    def _read_lines(self) -> Iterator[str]:
-        """Yield the lines of the file; if the run was cut off, those before an incomplete last one.
-
-        Sets ``_line_number`` to the number of each line before it is yielded, or of the line in which an
-        error is. Raises UsageError if the file is damaged, if it ends in the middle though the run was not
-        cut off, or if a line is too long.
+        If the run was cut off, an incomplete last line is left out. Sets ``_line_number`` to the number of
+        each line before its value is yielded, or of the line in which an error is. Raises UsageError if the
+        file is damaged, if it ends in the middle though the run was not cut off, or if a line is too long or
+        not JSON.
         """
         for line_number in count(1):
             line = self._read_line(line_number)
@@ -353,7 +345,11 @@ class EventsReader:
             self._line_number = line_number
             if len(line) > MAX_LINE_LENGTH:
                 raise self.error_in_line(f"not JSON of at most {MAX_LINE_LENGTH} characters")
-            yield line
+            try:
+                value = json.loads(line)
+            except (ValueError, RecursionError) as error:
+                raise self.error_in_line(f"not JSON ({error}); was the file cut?") from error
+            yield value
 
     def _read_line(self, line_number: int) -> str:
         """Return the next line, at most the first MAX_LINE_LENGTH + 1 characters; an empty text at the end.

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -263,48 +263,28 @@ class Carrier:
             self._on_frame_without_bus = on_frame
             return
         self._has_bus_per_robot = not wiring.is_shared
+        robots = list(self._robots)
+        robots_by_bus = [robots] if wiring.is_shared else [[robot] for robot in robots]
         try:
-            if wiring.is_shared:
-                are_robots_remote = len(wiring.remote) > 0  # on a shared bus all of them are, or none
-                self._join_shared_bus(wiring.open_bus, are_robots_remote, on_frame)
-            else:
-                self._join_bus_of_each_robot(wiring.open_bus, wiring.remote, on_frame)
+            for robots_of_bus in robots_by_bus:
+                any_robot = robots_of_bus[0]  # all of them have the same bus
+                on_unexpected = partial(self._count_foreign_frame, robots_of_bus)
+                bus = self._open_buses.enter_context(wiring.open_bus(any_robot))
+                carrier_connection = ExpectingConnection(bus, "the carrier", on_unexpected, on_frame)
+                self.bus_connections |= dict.fromkeys(robots_of_bus, carrier_connection)
+            for robot in robots:
+                if robot not in wiring.remote:
+                    self._robot_connections[robot] = self._connect_robot(robot, wiring.open_bus)
         except BaseException:
             self.close()  # the buses that were opened before another could not be
             raise
 
-    def _join_shared_bus(self, open_bus: OpenBus, are_robots_remote: bool, on_frame: FrameTaker) -> None:
-        """Open the carrier's connection to the bus of all robots, over which those in this process send."""
-        robots = list(self._robots)
-        any_robot = robots[0]  # all have the same bus
-        bus = self._open_buses.enter_context(open_bus(any_robot))
-        carrier_connection = self._connect_carrier(robots, bus, on_frame)
-        for robot in robots:
-            self.bus_connections[robot] = carrier_connection
-            # A robot in this process sends and reads over the same connection.
-            if not are_robots_remote:
-                self._robot_connections[robot] = carrier_connection
-
-    def _join_bus_of_each_robot(
-        self, open_bus: OpenBus, remote_robots: Collection[int], on_frame: FrameTaker
-    ) -> None:
-        """Open the carrier's connection to the bus of each robot, and that of each robot in this process."""
-        for robot in self._robots:
-            bus_of_carrier = self._open_buses.enter_context(open_bus(robot))
-            self.bus_connections[robot] = self._connect_carrier([robot], bus_of_carrier, on_frame)
-            if robot not in remote_robots:
-                bus_of_robot = self._open_buses.enter_context(open_bus(robot))
-                self._robot_connections[robot] = ExpectingConnection(bus_of_robot, f"robot {robot}")
-
-    def _connect_carrier(
-        self, robots: Sequence[int], bus: can.BusABC, on_frame: FrameTaker
-    ) -> ExpectingConnection:
-        """Return the carrier's connection to the bus of ``robots``, which count other nodes' frames there.
-
-        ``on_frame`` is called with every frame that the carrier reads there.
-        """
-        on_unexpected = partial(self._count_foreign_frame, robots)
-        return ExpectingConnection(bus, "the carrier", on_unexpected, on_frame)
+    def _connect_robot(self, robot: int, open_bus: OpenBus) -> ExpectingConnection:
+        """Return the connection of a robot in this process, which is the carrier's on a shared bus."""
+        if not self._has_bus_per_robot:
+            return self.bus_connections[robot]
+        bus = self._open_buses.enter_context(open_bus(robot))
+        return ExpectingConnection(bus, f"robot {robot}")
 
     def _count_foreign_frame(self, robots: Sequence[int], frame: can.Message) -> None:
         """Let robots count a frame from outside the swarm."""

@@ -163,14 +163,13 @@ class Swarm:
             return []
         # Each remote robot has a bus of its own, unless one is shared by all.
         nodes_by_bus = [remote_nodes] if wiring.is_shared else [[node] for node in remote_nodes]
-        return [self._create_driver(nodes, on_frame) for nodes in nodes_by_bus]
-
-    def _create_driver(self, nodes: Sequence[BusRobot], on_frame: FrameTaker) -> Driver:
-        """Create the driver of remote robots that are on the same bus."""
-        any_node = nodes[0]
-        bus = self._carrier.bus_connections[any_node.id].bus
         order_matters = self.settings.swarm_filter.order_matters
-        return Driver(bus, nodes, self.settings.frames, on_frame, order_matters)
+        drivers = []
+        for nodes in nodes_by_bus:
+            any_node = nodes[0]
+            bus = self._carrier.bus_connections[any_node.id].bus
+            drivers.append(Driver(bus, nodes, self.settings.frames, on_frame, order_matters))
+        return drivers
 
     def __enter__(self) -> Swarm:
         """Return the swarm, whose buses are open since it was made."""
@@ -415,7 +414,7 @@ def _sender_id(robot_frame: RobotFrame) -> int:
 
 def _report_as_received(on_frame: FrameTaker, frame: can.Message) -> None:
     """Mark a frame as received, and call ``on_frame`` with it."""
-    frame.is_rx = True  # SocketCAN marks frames from this computer as sent.
+    frame.is_rx = True  # Without a bus a frame has only been sent, as have commands to remote robots.
     on_frame(frame)
 
 
