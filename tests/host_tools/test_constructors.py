@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import parameters_of
+from mcp_asdf_tools.common.parameters import Parameter, parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
@@ -47,11 +47,12 @@ def try_all_values(kind: Any, name: str) -> tuple[list[tuple[Any, Any]], list[st
 for_every_parameter = pytest.mark.parametrize(
     ("kind", "name"), PARAMETERS, ids=lambda value: getattr(value, "__name__", value)
 )
-for_every_number = pytest.mark.parametrize(
-    ("kind", "name"),
-    [(kind, name) for kind, name in PARAMETERS if parameters_of(kind)[name].kind in (int, float)],
-    ids=lambda value: getattr(value, "__name__", value),
+NUMBERS = [(kind, name) for kind, name in PARAMETERS if parameters_of(kind)[name].kind in (int, float)]
+DIFFERENT_NUMBERS = sorted(
+    {parameters_of(kind)[name] for kind, name in NUMBERS}, key=lambda number: (number.name, number.maximum)
 )
+"""Experiment and SwarmSettings have most numbers in common, which are tried once."""
+for_every_number = pytest.mark.parametrize("number", DIFFERENT_NUMBERS, ids=lambda number: number.name)
 
 
 @for_every_parameter
@@ -75,7 +76,7 @@ def test_a_parameter_with_choices_accepts_nothing_else(kind: Any, name: str) -> 
         assert converted_value in parameters_of(kind)[name].choices
 
 
-@for_every_number
+@pytest.mark.parametrize(("kind", "name"), NUMBERS, ids=lambda value: getattr(value, "__name__", value))
 def test_a_number_that_is_accepted_is_converted_to_the_type_of_its_parameter(kind: Any, name: str) -> None:
     """``kind`` is Experiment or SwarmSettings. For example, 3.0 robots become the integer 3."""
     parameter = parameters_of(kind)[name]
@@ -87,17 +88,15 @@ def test_a_number_that_is_accepted_is_converted_to_the_type_of_its_parameter(kin
 
 
 @for_every_number
-def test_the_smallest_and_the_largest_value_of_a_parameter_are_accepted(kind: Any, name: str) -> None:
-    """``kind`` is Experiment or SwarmSettings. The values are returned unchanged."""
-    parameter = parameters_of(kind)[name]
-    assert parameter.convert(parameter.minimum) == parameter.minimum
-    assert parameter.convert(parameter.maximum) == parameter.maximum
+def test_the_smallest_and_the_largest_value_of_a_number_are_accepted(number: Parameter) -> None:
+    """The values are returned unchanged."""
+    assert number.convert(number.minimum) == number.minimum
+    assert number.convert(number.maximum) == number.maximum
 
 
 @for_every_number
-def test_a_number_below_or_above_a_parameter_s_range_is_refused_with_the_range(kind: Any, name: str) -> None:
-    """``kind`` is Experiment or SwarmSettings. The error says "it must be" and the two limits."""
-    parameter = parameters_of(kind)[name]
-    for value in (parameter.minimum - 1, 2 * parameter.maximum + 1):
-        with pytest.raises(UsageError, match=f"{name} is .*; it must be .* to "):
-            parameter.convert(value)
+def test_a_value_below_or_above_a_number_s_range_is_refused_with_the_range(number: Parameter) -> None:
+    """The error says "it must be" and the two limits."""
+    for value in (number.minimum - 1, 2 * number.maximum + 1):
+        with pytest.raises(UsageError, match=f"{number.name} is .*; it must be .* to "):
+            number.convert(value)
