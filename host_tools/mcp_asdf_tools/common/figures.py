@@ -83,10 +83,6 @@ COLOURS = (
 )
 """Colours of lines without a fixed colour. Colour-blind people can tell the first eight apart."""
 
-COLOUR_OF_HEALTHY_ROBOTS = COLOURS[0]
-"""Colour of robots that are not flawed."""
-COLOUR_OF_FLAWED_ROBOTS = COLOURS[1]
-"""Colour of flawed robots, whose assumed accuracy is wrong at the start."""
 INK = COLOURS[7]
 """Colour of true values."""
 

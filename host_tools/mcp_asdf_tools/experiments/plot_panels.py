@@ -45,6 +45,11 @@ MIN_TRIALS_OF_INTERVAL = 6
 Results: TypeAlias = "pa.Table | Sequence[Trials]"
 """What pictures are drawn of: a table of trials, or experiments from ``experiments_in``."""
 
+COLOUR_OF_HEALTHY_ROBOTS = COLOURS[0]
+"""Colour of robots that are not flawed."""
+COLOUR_OF_FLAWED_ROBOTS = COLOURS[1]
+"""Colour of flawed robots, whose assumed accuracy is wrong at the start."""
+
 _MAX_SERIES = 8
 _MAX_PANELS = 32
 _LEGEND_AND_CAPTION_HEIGHT = 1.4  # inches

@@ -27,10 +27,11 @@ from host_tools.experiments.drawn_figures import (
     y_values_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import COLOUR_OF_FLAWED_ROBOTS, COLOUR_OF_HEALTHY_ROBOTS, INK
+from mcp_asdf_tools.common.figures import INK
 from mcp_asdf_tools.experiments import plot_labels
 from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.plot_panels import COLOUR_OF_FLAWED_ROBOTS, COLOUR_OF_HEALTHY_ROBOTS
 from mcp_asdf_tools.experiments.plots.bands import plot_bands
 from mcp_asdf_tools.experiments.plots.series import plot_runs, plot_series
 from mcp_asdf_tools.experiments.results import Trials

@@ -12,8 +12,6 @@ from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import (
-    COLOUR_OF_FLAWED_ROBOTS,
-    COLOUR_OF_HEALTHY_ROBOTS,
     INK,
     SMALL,
 )
@@ -29,6 +27,8 @@ from mcp_asdf_tools.experiments.plot_labels import (
     varying_parameters,
 )
 from mcp_asdf_tools.experiments.plot_panels import (
+    COLOUR_OF_FLAWED_ROBOTS,
+    COLOUR_OF_HEALTHY_ROBOTS,
     Results,
     create_panels,
     draw_band,

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import (
-    COLOUR_OF_FLAWED_ROBOTS,
-    COLOUR_OF_HEALTHY_ROBOTS,
     INK,
     MEDIUM,
     SMALL,
@@ -26,7 +24,12 @@ from mcp_asdf_tools.common.figures import (
 )
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import filter_name
-from mcp_asdf_tools.experiments.plot_panels import Results, experiments_to_plot
+from mcp_asdf_tools.experiments.plot_panels import (
+    COLOUR_OF_FLAWED_ROBOTS,
+    COLOUR_OF_HEALTHY_ROBOTS,
+    Results,
+    experiments_to_plot,
+)
 from mcp_asdf_tools.experiments.results import Trials, single_experiment
 
 
