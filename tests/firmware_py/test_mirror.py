@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mcp_asdf.mirror import accuracy_of, is_valid_accuracy, reestimate
+from mcp_asdf.mirror import MirrorRobot, accuracy_of, is_valid_accuracy, reestimate
+from mcp_asdf.native import NativeRobot
+from mcp_asdf.robot import Observation
+from robots import NO_FILTER, restore_robot
 
 
 def test_from_a_mean_of_the_neighbours_too_near_to_a_half_a_robot_re_estimates_no_accuracy() -> None:
@@ -27,6 +30,21 @@ def test_the_limit_for_means_below_a_half_is_one_unit_further_from_it() -> None:
 
     assert reestimate(t=10, n=5, x_bar=half - least_distance) is not None
     assert reestimate(t=10, n=5, x_bar=half - least_distance + 1) is None
+
+
+def test_a_confidence_is_divided_by_as_many_bits_as_in_c() -> None:
+    """By eq. 4 it is divided by n (t - n), which may have 62 bits. The C keeps the upper 31 of them.
+
+    These counts are among few, 1 in 1500, for which 30 bits would give another confidence.
+    """
+    confidences = []
+    for firmware in (MirrorRobot, NativeRobot):
+        robot = restore_robot(firmware, NO_FILTER, t=532_056, n=377_654)
+        robot.observe(Observation.WHITE)
+        confidences.append(robot.alpha_raw)
+
+    confidence_in_python, confidence_in_c = confidences
+    assert confidence_in_python == confidence_in_c
 
 
 def test_an_accuracy_is_damaged_if_a_value_kept_with_it_does_not_follow_from_it() -> None:
