@@ -507,7 +507,7 @@ def report_six_of_eight_trials_in_two_minutes(monkeypatch: pytest.MonkeyPatch, *
             report(1.5)
 
 
-def test_a_progress_bar_shows_the_time_left_of_trials_that_take_minutes(
+def test_progress_is_a_bar_with_the_time_left_in_a_terminal_and_is_erased_in_the_end(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two of eight trials have ended after 60 and 120 s: the other six take 6 minutes.
@@ -521,7 +521,11 @@ def test_a_progress_bar_shows_the_time_left_of_trials_that_take_minutes(
     with progress_bar.progress("trials", 8) as report:
         for clock.return_value in (60.0, 120.0):
             report(1)
-    assert "2/8 0:06:00" in re.sub(r"\x1b\[[^A-Za-z]*[A-Za-z]", "", capsys.readouterr().err)
+
+    output = capsys.readouterr().err
+    assert "2/8 0:06:00" in re.sub(r"\x1b\[[^A-Za-z]*[A-Za-z]", "", output)
+    code_that_erases_a_line = "\x1b[2K"
+    assert output.endswith(code_that_erases_a_line)
 
 
 def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
@@ -554,20 +558,6 @@ def test_a_line_of_progress_has_no_time_left_before_the_first_trial_is_finished(
         report(0)
 
     assert capsys.readouterr().err == "trials: 0 of 8\n"
-
-
-def test_progress_is_a_bar_in_a_terminal_and_is_erased_in_the_end(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """FORCE_COLOR makes rich, which draws the bar, take any output for a terminal. Six of 8 are finished."""
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    report_six_of_eight_trials_in_two_minutes(monkeypatch, quiet=False)
-    output = capsys.readouterr().err
-
-    assert "6/8" in output
-    assert re.search(r"\d:\d\d:\d\d", output), "the time left"
-    code_that_erases_a_line = "\x1b[2K"
-    assert output.endswith(code_that_erases_a_line)
 
 
 def test_quiet_progress_is_not_shown(
