@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.figures import SMALL
 from mcp_asdf_tools.experiments.plot_labels import make_caption
@@ -61,15 +60,7 @@ def _draw_errors(axes: Axes, experiments: Sequence[Trials], colour: str) -> None
     """
     if not experiments:
         return
-    errors = np.concatenate([_mean_errors(trials) for trials in experiments])  # shape (trials, samples)
-    errors_by_sample = errors.T
+    errors = np.concatenate([trials.mean_errors_over_time() for trials in experiments])
+    errors_by_sample = errors.T  # from shape (trials, samples)
     steps = np.arange(len(errors_by_sample)) * experiments[0].sampling_interval
     draw_band(axes, steps, median_intervals(errors_by_sample), colour)
-
-
-def _mean_errors(trials: Trials) -> NDArray[np.float64]:
-    """Return the mean error |x - f| over the robots at each recorded step, shape (trials, samples)."""
-    robot_axis = 2  # of the shape (trials, samples, N)
-    errors = abs(trials.records["x"] - trials.experiment.fill_ratio)
-    mean_errors: NDArray[np.float64] = errors.mean(axis=robot_axis)
-    return mean_errors

@@ -92,6 +92,17 @@ class Trials:
             "updates": self.updates.sum(axis=robot_axis),
         }
 
+    def mean_errors_over_time(self) -> NDArray[np.float64]:
+        """Return the mean error |x - f| over the robots at each recorded step, shape (trials, samples).
+
+        x is a robot's recorded estimate, and f the share of black floor. Raises KeyError if x was not
+        recorded.
+        """
+        robot_axis = 2  # of the shape (trials, samples, N)
+        errors = abs(self.records["x"] - self.experiment.fill_ratio)
+        mean_errors: NDArray[np.float64] = errors.mean(axis=robot_axis)
+        return mean_errors
+
     @property
     def final_b_hat(self) -> NDArray[np.float64]:
         """The robots' b_hat after the last filter step, shape (trials, N); NaN if there was none."""

@@ -30,8 +30,8 @@ from mcp_asdf_tools.studies.peers import (
 from mcp_asdf_tools.studies.study_program import (
     LATE_ERROR_HEAD,
     MOVING_SWARM,
+    last_quarter,
     late_error_text,
-    late_estimates,
     markdown_table,
     parse_arguments,
     plot_errors_of_swarms,
@@ -102,7 +102,7 @@ def right_text(experiments: Sequence[Trials]) -> str:
     """
     right_shares: list[float] = []
     for trials in experiments:
-        answers_black = late_estimates(trials) > 0.5  # shape (trials, recorded steps, robots)
+        answers_black = last_quarter(trials.records["x"]) > 0.5  # shape (trials, recorded steps, robots)
         is_mostly_black = trials.experiment.fill_ratio > 0.5
         right_shares.append(np.mean(answers_black == is_mostly_black))
     return f"{100 * np.mean(right_shares):.1f}"

@@ -122,17 +122,15 @@ def late_errors(trials: Trials) -> Sample:
 
     x is a robot's recorded estimate, f the share of black floor.
     """
-    late_x = late_estimates(trials)
-    errors: Sample = abs(late_x - trials.experiment.fill_ratio).mean(axis=(1, 2))  # over steps and robots
+    errors: Sample = last_quarter(trials.mean_errors_over_time()).mean(axis=1)
     return errors
 
 
-def late_estimates(trials: Trials) -> NDArray[np.float64]:
-    """Return x, the recorded estimates, in the last quarter of each trial; shape (trials, steps, robots)."""
-    x = trials.records["x"]
-    quarter_length = max(1, x.shape[1] // 4)  # a short trial has few values, but at least one counts
-    late_x: NDArray[np.float64] = x[:, -quarter_length:, :]
-    return late_x
+def last_quarter(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the values in the last quarter of each trial; the first axes are trials and recorded steps."""
+    _trials, recorded_steps, *_other_lengths = values.shape
+    quarter_length = max(1, recorded_steps // 4)  # a short trial has few values, but at least one counts
+    return values[:, -quarter_length:]
 
 
 def without_liars(trials: Trials) -> Trials:
