@@ -16,14 +16,14 @@ DYNAMIC = {"steps": 40_000, "trials": 200, "topology": "dynamic", "fill_ratio": 
 OVERCONFIDENT = {"true_accuracy": 0.55, "flawed_accuracy": 0.95}
 CONNECTED = {"steps": 40_000, "trials": 200, "fill_ratio": 0.95} | OVERCONFIDENT
 CASES = [
-    ("dynamic,underconfident,50%,", "asdf-minus", DYNAMIC | {"flawed": "50%"}),
-    ("fully-connected,overconfident,10%,", "robust", CONNECTED | {"flawed": "10%"}),
+    ("dynamic,underconfident,30%,density=0.25", "asdf-minus", DYNAMIC | {"flawed": "30%", "density": 0.25}),
     (
         "dynamic,underconfident,30%,filter_period=100",
         "robust",
         DYNAMIC | {"flawed": "30%", "filter_period": 100},
     ),
-    ("dynamic,underconfident,30%,density=4.0", "none", DYNAMIC | {"flawed": "30%", "density": 4.0}),
+    ("fully-connected,overconfident,10%,", "robust", CONNECTED | {"flawed": "10%"}),
+    ("fully-connected,overconfident,30%,", "none", CONNECTED | {"flawed": "30%"}),
 ]
 """Beginnings of rows of the figures, each with a filter and the parameters of the row's experiment."""
 
