@@ -41,7 +41,7 @@ mcp-asdf table --output tables --neighbours 4
 mcp-asdf radio --id 3 --robots 3 --steps 1 --steps-per-second 500 --interface virtual
 mcp-asdf node --help
 mcp-asdf dbc --output mcp_asdf.dbc
-mcp-asdf crosscheck --steps 100
+mcp-asdf crosscheck --replay robot:2:1:64:0:3221225472,step:1
 mcp-asdf simulate --steps 1000 --trials 2 --output run.parquet
 mcp-asdf sweep physical --steps 10 --trials 1 --output physical.parquet
 mcp-asdf score run.parquet
@@ -223,37 +223,37 @@ def test_the_wheel_passes_the_commands_that_test_a_release(environment: Path, tm
         run(environment / "bin" / program, *words, cwd=tmp_path)
 
 
-@pytest.mark.slow
-def test_the_source_archive_has_every_file_that_git_lists(tmp_path: Path) -> None:
-    """pip builds from it where there is no wheel. It has one file more, which describes it."""
-    code = "import sys; from scikit_build_core.build import build_sdist; build_sdist(sys.argv[1])"
-
-    run(sys.executable, "-c", code, tmp_path)
-
-    [archive] = tmp_path.glob("*.tar.gz")
-    with tarfile.open(archive) as opened:
-        paths = [member.name for member in opened if member.isfile()]
-    paths_without_first_folder = {path.partition("/")[2] for path in paths}
-    assert paths_without_first_folder - {"PKG-INFO"} == listed_files()
-
-
-def build_and_check(folder: Path) -> list[str]:
-    """Build and check the packages in a folder with the commands of RELEASING.md; return what is built."""
+def build_release(folder: Path) -> None:
+    """Build and check an archive and a wheel in a folder with the commands of RELEASING.md."""
     require("twine")
     commands = block_with(ROOT / ".github/RELEASING.md", "twine check", "sh")
     assert "build/dist" in commands
     commands = commands.replace("build/dist", shlex.quote(str(folder)))
     commands = commands.replace("-m build", "-m build --quiet")
     printed = run("sh", "-exc", commands, cwd=ROOT)
-    built = sorted(path.name for path in folder.iterdir())
-    assert printed.count("PASSED") == len(built)
-    return built
+    assert printed.count("PASSED") == len(names_in(folder))
+
+
+@pytest.fixture(scope="session")
+def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the source archive and the wheel of a release, built once for all tests."""
+    return made_once(tmp_path_factory, "release", build_release)
 
 
 @pytest.mark.slow
-def test_the_commands_of_a_release_build_an_archive_and_a_wheel_that_an_index_accepts(tmp_path: Path) -> None:
+def test_the_commands_of_a_release_build_an_archive_and_a_wheel_that_an_index_accepts(release: Path) -> None:
     """They are those of RELEASING.md, among them the check that an index of packages makes."""
-    wheel, archive = build_and_check(tmp_path)
+    wheel, archive = names_in(release)
 
     assert wheel.endswith(".whl")
     assert archive == f"mcp_asdf-{version_of_header()}.tar.gz"
+
+
+@pytest.mark.slow
+def test_the_source_archive_has_every_file_that_git_lists(release: Path) -> None:
+    """pip builds from it where there is no wheel. It has one file more, which describes it."""
+    [archive] = release.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        paths = [member.name for member in opened if member.isfile()]
+    paths_without_first_folder = {path.partition("/")[2] for path in paths}
+    assert paths_without_first_folder - {"PKG-INFO"} == listed_files()
