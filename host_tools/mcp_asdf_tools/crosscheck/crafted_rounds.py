@@ -129,14 +129,24 @@ sums as robots have them, and sums above 2**45.
 """
 
 
-def draw_normal_alpha(rng: Random, min_shift: int = 1, max_shift: int = 17) -> int:
+def draw_normal_alpha(rng: Random, max_shift: int = 17) -> int:
     """Draw an alpha word, a confidence, whose mantissa has all of its 24 bits and so no leading zeros.
 
-    It stands for a confidence from 2**(min_shift - 1) to 2**max_shift: by default from 1 to 2**17.
+    It stands for a confidence from 1 to 2**max_shift.
     """
     mantissa = rng.randrange(1 << 23, 1 << 24)
-    shift = rng.randint(min_shift, max_shift)
+    shift = rng.randint(1, max_shift)
     return (mantissa << 8) | shift
+
+
+def draw_alpha_of_bits(rng: Random, min_bits: int, max_bits: int) -> int:
+    """Draw an alpha word as robots send them, for a confidence of so many bits in units of 2**-24.
+
+    Confidences that a word can hold have 1 to 55 bits: they are from 2**-24 to nearly 2**31.
+    """
+    bit_count = rng.randint(min_bits, max_bits)
+    leading_one = 1 << (bit_count - 1)  # The bits below it are random.
+    return alpha_word_from_units(leading_one + rng.randrange(leading_one))
 
 
 def draw_alphas_of_one_scale(rng: Random, count: int, scale: tuple[int, int] | None = None) -> list[int]:
@@ -146,13 +156,7 @@ def draw_alphas_of_one_scale(rng: Random, count: int, scale: tuple[int, int] | N
     is drawn from ``ALPHA_SCALES``.
     """
     min_bits, max_bits = rng.choice(ALPHA_SCALES) if scale is None else scale
-    alphas = []
-    for _ in range(count):
-        bit_count = rng.randint(min_bits, max_bits)
-        leading_one = 1 << (bit_count - 1)  # The bits below it are random.
-        units = leading_one + rng.randrange(leading_one)
-        alphas.append(alpha_word_from_units(units))
-    return alphas
+    return [draw_alpha_of_bits(rng, min_bits, max_bits) for _ in range(count)]
 
 
 # --- Rounds at the threshold of the test ---

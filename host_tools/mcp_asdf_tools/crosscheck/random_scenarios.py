@@ -1,10 +1,9 @@
 """Random scenarios for the cross-check, built so that they meet the edges at which an implementation can err.
 
 A scenario is a function of a seed and an index, for a robot with one of the paper's filters;
-``robust_scenarios`` has those of the robust one. ``random_values`` draws most of its numbers from pools that
-are heavy with edges. Besides, robots are restored with counts of years of observations; and some rounds are
-built so that the last bits of a threshold decide the hypothesis test, or whether x_bar, the neighbours' mean,
-carries information.
+``robust_scenarios`` has those of the robust one. ``random_values`` draws most of its numbers at edges.
+Besides, robots are restored with counts of years of observations; and some rounds are built so that the last
+bits of a threshold decide the hypothesis test, or whether x_bar, the neighbours' mean, carries information.
 """
 
 from __future__ import annotations
@@ -12,11 +11,15 @@ from __future__ import annotations
 from dataclasses import asdict
 from random import Random
 
-from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, LARGEST_ALPHA_UNITS, ONE
+from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE
 from mcp_asdf.image_format import image_size
 from mcp_asdf.mirror import INFORMATIVE_G, accuracy_of, estimate
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MAX_ROUND_SIZE, Filter
-from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, NeighbourEstimate, draw_x_hats_at_threshold
+from mcp_asdf_tools.crosscheck.crafted_rounds import (
+    ALPHA_ONE,
+    draw_alpha_of_bits,
+    draw_x_hats_at_threshold,
+)
 from mcp_asdf_tools.crosscheck.image_numbers import (
     COUNTER_NAMES,
     MAX_16_BITS,
@@ -25,16 +28,15 @@ from mcp_asdf_tools.crosscheck.image_numbers import (
     places_of_numbers,
 )
 from mcp_asdf_tools.crosscheck.random_values import (
-    SPECIAL_ALPHAS,
-    SPECIAL_X_HATS,
+    MAX_ALPHA_BITS,
     clamp,
     draw_alpha,
+    draw_at_edges,
     draw_b_hat,
-    draw_extreme_sums,
     draw_n,
-    draw_number_of_any_size,
+    draw_sums,
+    draw_sums_of_closed_round,
     draw_t,
-    draw_usual_alpha,
 )
 from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, Setup, TableChoice
 
@@ -45,8 +47,6 @@ _X_BAR_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 10
 """Distance of x_bar from 1/2 from which on it carries information, in units of 2**-23.
 
 It is half of the smallest informative |2 x_bar - 1|, which is in units of 2**-32: 1 bit and 9 bits."""
-_ALPHA_UNIT = 1 << 8
-"""Alpha word of the smallest confidence, with mantissa 1; times k it is the word of k units of 2**-24."""
 
 
 def random_scenario(seed: int, index: int) -> Scenario:
@@ -164,7 +164,7 @@ class ScenarioWriter:
             self._b_hat = draw_b_hat(rng)
         t = draw_t(rng, self._setup.memory)
         n = draw_n(rng, t, self._b_hat)
-        new_numbers = {"b_hat": self._b_hat, "t": t, "n": n, "updates": rng.choice([0, 1, MAX_16_BITS])}
+        new_numbers = {"b_hat": self._b_hat, "t": t, "n": n, **self._draw_counters()}
         new_numbers |= self._draw_own_estimate(t, n)
         new_numbers |= self._draw_filter_memory(t, n)
         self._add_restore(new_numbers)
@@ -196,7 +196,7 @@ class ScenarioWriter:
         return {}
 
     def _add_restore_of_changed_image(self) -> None:
-        """Restore the robot from an image with one kind of change that makes it just legal, or just not.
+        """Restore the robot from an image with one number that makes it just legal, or just not.
 
         In one of ten cases a bit of the image is flipped instead, which its checksum must show. A message
         follows. Whether it changes the robot as it must shows if an image was wrongly refused or accepted.
@@ -206,30 +206,11 @@ class ScenarioWriter:
             byte_index = rng.randrange(image_size(self._setup.filter))
             flipped_bit = 1 << rng.randrange(8)
             self._add_call("damage", byte_index, flipped_bit)
+        elif rng.random() < 0.7:
+            self._add_restore(self._draw_number_at_limit())
         else:
-            self._add_restore(self._draw_change_of_image())
-        alpha = rng.choice([0, rng.choice(SPECIAL_ALPHAS)])
-        self._add_call("receive", self._draw_sender(), self._draw_x_hat(), alpha)
-
-    def _draw_change_of_image(self) -> dict[str, int]:
-        """Draw new numbers for an image, by name, by which it is just legal, or just not."""
-        draw_change = self._rng.choice(
-            [
-                self._draw_no_change,
-                self._draw_number_at_limit,
-                self._draw_number_at_limit,
-                self._draw_number_at_limit,
-                self._draw_counters,
-                self._draw_special_estimate,
-                self._draw_filter_memory_at_limits,
-                self._draw_any_number,
-            ]
-        )
-        return draw_change()
-
-    def _draw_no_change(self) -> dict[str, int]:
-        """Return no new number: an image that was not changed must be restored."""
-        return {}
+            self._add_restore(self._draw_any_number())
+        self._add_receive()
 
     def _draw_number_at_limit(self) -> dict[str, int]:
         """Draw one number of an image, by name, at a limit of its range or one unit beside it.
@@ -254,31 +235,6 @@ class ScenarioWriter:
         value = rng.choice(limits_by_name[name]) + rng.randint(-1, 1)
         return {"updated": rng.randrange(2), name: self._clamp_to_image(name, value)}
 
-    def _draw_counters(self) -> dict[str, int]:
-        """Draw all counters of events, by name; many are at their maximum, or about to reach it."""
-        return {name: self._rng.choice([0, MAX_16_BITS - 1, MAX_16_BITS]) for name in COUNTER_NAMES}
-
-    def _draw_special_estimate(self) -> dict[str, int]:
-        """Draw the robot's own x_hat and an alpha at an edge, by name.
-
-        In two of three cases ``updated``, which is returned with them, says that b_hat is newer than these
-        two. They are legal only then, and only if a robot would write this alpha in the same form.
-        """
-        rng = self._rng
-        alpha = rng.choice(SPECIAL_ALPHAS)
-        return {"x_hat": self._draw_x_hat(), "alpha": alpha, "updated": rng.choice([0, 1, 1])}
-
-    def _draw_filter_memory_at_limits(self) -> dict[str, int]:
-        """Draw two sums of the closed round, by name, at or next to their limits, or far beyond.
-
-        They are the sum of alpha, and the sum of the lower 32 bits of alpha times x_hat.
-        """
-        rng = self._rng
-        largest_beta = MAX_ROUND_SIZE * LARGEST_ALPHA_UNITS
-        largest_alpha_x_low = (1 << 62) - 1
-        alpha_x_low = rng.choice([0, largest_alpha_x_low, largest_alpha_x_low + 1, (1 << 64) - 1])
-        return {"closed_alpha": largest_beta + rng.randint(-1, 1), "closed_alpha_x_low": alpha_x_low}
-
     def _draw_any_number(self) -> dict[str, int]:
         """Draw any number of an image, by name: 0, 1, its largest value, or one with a single bit."""
         rng = self._rng
@@ -298,20 +254,21 @@ class ScenarioWriter:
         senders.
         """
         rng = self._rng
-        sums = asdict(draw_extreme_sums(rng))
-        if rng.random() < 0.7:
-            # One unit more is beyond a limit that the sum is at, and must be refused.
-            changed_name = rng.choice(list(sums))
-            sums[changed_name] = max(sums[changed_name] + rng.choice([-1, 1, 1]), 0)
-        # The end of the round empties the open one, in which there may be a message already.
-        self._add_call("settle")
         is_closed_round = rng.random() < 0.3
         if is_closed_round:
-            names_of_closed_round = ("alpha", "alpha_x_low", "alpha_x_high")  # It keeps no other sums.
-            self._add_restore({f"closed_{name}": sums[name] for name in names_of_closed_round})
+            names = ("closed_alpha", "closed_alpha_x_low", "closed_alpha_x_high")
+            numbers = dict(zip(names, draw_sums_of_closed_round(rng), strict=True))
         else:
-            open_round = {f"open_{name}": value for name, value in sums.items()}
-            self._add_restore(open_round | self._all_other_senders())
+            numbers = {f"open_{name}": value for name, value in asdict(draw_sums(rng)).items()}
+        if rng.random() < 0.7:
+            # One unit more is beyond a limit that the sum is at, and must be refused.
+            changed_name = rng.choice(list(numbers))
+            numbers[changed_name] = max(numbers[changed_name] + rng.choice([-1, 1, 1]), 0)
+        if not is_closed_round:
+            numbers |= self._all_other_senders()
+        # The end of the round empties the open one, in which there may be a message already.
+        self._add_call("settle")
+        self._add_restore(numbers)
 
     def _all_other_senders(self) -> dict[str, int]:
         """Return numbers of an image, by name, by which the robot has heard all others in the open round."""
@@ -332,22 +289,11 @@ class ScenarioWriter:
         if table_choice is None:  # as without the adaptive filter
             self._add_tick()
             return
-        m = self._draw_round_size(table_choice.q)
+        q = table_choice.q  # Above it, the table has a single threshold for all numbers of estimates.
+        m = draw_at_edges(self._rng, [2, 3, q, q + 1, MAX_ROUND_SIZE], 2, MAX_ROUND_SIZE)
         threshold = table_choice.build().entry(m)  # for the test against m estimates
         own_x_hat, x_hats = self._draw_x_hats_around_threshold(m, threshold)
-        estimates = [NeighbourEstimate(x_hat, draw_usual_alpha(self._rng)) for x_hat in x_hats]
-        self._add_filter_run(own_x_hat, estimates)
-
-    def _draw_round_size(self, q: int) -> int:
-        """Draw a number of estimates, from 2 to 127, for a test whose table has a threshold for each up to q.
-
-        Two of three are those at which an index of the table that is off by one shows: the smallest numbers,
-        the last one with a threshold of its own and the first one without, and the largest.
-        """
-        rng = self._rng
-        at_edge = rng.choice([2, 3, q, q + 1, MAX_ROUND_SIZE])
-        anywhere = rng.randint(2, MAX_ROUND_SIZE)
-        return min(rng.choice([at_edge, at_edge, anywhere]), MAX_ROUND_SIZE)
+        self._add_filter_run(own_x_hat, x_hats)
 
     def _draw_x_hats_around_threshold(self, m: int, threshold: int) -> tuple[int, list[int]]:
         """Draw an x_hat of the robot, and the x_hat of ``m`` neighbours by which its filter tests it.
@@ -359,7 +305,7 @@ class ScenarioWriter:
         rng = self._rng
         # Not all draws leave room for such x_hat in 0 .. 1.
         while True:
-            own_x_hat = rng.choice([0, HALF, ONE, rng.randint(0, ONE), rng.randint(0, ONE)])
+            own_x_hat = draw_at_edges(rng, [0, HALF, ONE], 0, ONE)
             # Far apart, x_hat have sums with most bits; close together, a variance of few units.
             narrowing_bits = rng.choice([0, 0, 0, rng.randrange(20)])
             distance_share = rng.random() / (1 << narrowing_bits)
@@ -373,65 +319,49 @@ class ScenarioWriter:
     def _add_filter_near_one_half(self) -> None:
         """Run the filter on estimates whose mean is just informative, just not informative, or almost 1/2.
 
-        The mean, x_bar, is informative if it is so far from 1/2 that b_hat can be re-estimated from it. The
-        last one is off by a few units of 2**-32, which rounding makes 1/2 to the bit.
+        The mean, x_bar, is informative if it is so far from 1/2 that b_hat can be re-estimated from it.
         """
         rng = self._rng
-        if rng.random() < 0.3:
-            # 255 units of confidence at 1/2, and up to 4 units one step of 2**-23 beside it
-            beside_half = HALF + rng.choice([-1, 1])
-            light_estimate = NeighbourEstimate(beside_half, rng.randint(0, 4) * _ALPHA_UNIT)
-            estimates = [NeighbourEstimate(HALF, 255 * _ALPHA_UNIT), light_estimate]
-        else:
-            distance = _X_BAR_INFORMATIVE_DISTANCE + rng.randint(-1, 1)
-            x_hat = HALF + rng.choice([-distance, distance])
-            # Among several x_hat, some are one step higher, so that x_bar lies between two steps.
-            m = rng.choice([1, 2, 2, 10])
-            estimates = [NeighbourEstimate(x_hat + rng.randrange(2), draw_usual_alpha(rng)) for _ in range(m)]
+        distance = rng.choice([0, _X_BAR_INFORMATIVE_DISTANCE]) + rng.randint(-1, 1)
+        x_hat = HALF + rng.choice([-1, 1]) * distance
+        # Among several x_hat, some are one step higher, so that x_bar lies between two steps.
+        m = rng.choice([1, 2, 2, 10])
+        x_hats = [x_hat + rng.randrange(2) for _ in range(m)]
         # An own x_hat at an end, far from all these, so that the test rejects
-        self._add_filter_run(rng.choice([0, ONE]), estimates)
+        self._add_filter_run(rng.choice([0, ONE]), x_hats)
 
-    def _add_filter_run(self, own_x_hat: int, estimates: list[NeighbourEstimate]) -> None:
-        """Restore the robot with this x_hat, receive these estimates, and run its filter.
+    def _add_filter_run(self, own_x_hat: int, x_hats: list[int]) -> None:
+        """Restore the robot with this x_hat, receive estimates with these x_hat, and run its filter.
 
-        The estimates come from different robots, in random order.
-        """
-        self._add_call("settle")  # The end of a round empties the open one.
-        self._add_restore(self._draw_robot_before_filter_run(own_x_hat))
-        other_ids = [sender for sender in range(MAX_ID + 1) if sender != self._setup.robot_id]
-        senders = self._rng.sample(other_ids, len(estimates))
-        for sender, (x_hat, alpha) in zip(senders, estimates, strict=True):
-            self._add_call("receive", sender, x_hat, alpha)
-        self._add_call("settle")  # at which the filter runs
-
-    def _draw_robot_before_filter_run(self, own_x_hat: int) -> dict[str, int]:
-        """Draw numbers of an image, by name, of a robot with this x_hat whose filter runs at the next settle.
-
-        Its observations are drawn, and in one of three cases its counter of tests is at its maximum.
+        The estimates come from different robots, in random order. The robot's observations and all
+        confidences are drawn.
         """
         rng = self._rng
         t = max(draw_t(rng, self._setup.memory), 1)  # without an observation the filter does not run
-        return {
-            "t": t,
-            "n": draw_n(rng, t, self._b_hat),
-            "x_hat": own_x_hat,
-            "alpha": ALPHA_ONE,
-            # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from it.
-            "updated": 1,
-            **self._draw_start_of_filter_run(),
-        }
+        self._add_call("settle")  # The end of a round empties the open one.
+        self._add_restore(
+            {
+                "t": t,
+                "n": draw_n(rng, t, self._b_hat),
+                "x_hat": own_x_hat,
+                "alpha": ALPHA_ONE,
+                # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from it.
+                "updated": 1,
+                "filter_left": 1,
+                **self._draw_counters(),
+            }
+        )
+        other_ids = [sender for sender in range(MAX_ID + 1) if sender != self._setup.robot_id]
+        senders = rng.sample(other_ids, len(x_hats))
+        for sender, x_hat in zip(senders, x_hats, strict=True):
+            self._add_call("receive", sender, x_hat, draw_alpha_of_bits(rng, 1, MAX_ALPHA_BITS))
+        self._add_call("settle")  # at which the filter runs
 
     # --- Values ---
 
-    def _draw_start_of_filter_run(self) -> dict[str, int]:
-        """Return numbers of an image, by name, with which the filter runs at the end of the present round.
-
-        In one of three cases the counter of tests is at its maximum, so that a test makes it 0.
-        """
-        start = {"filter_left": 1}
-        if self._rng.random() < 1 / 3:
-            start["tests"] = MAX_16_BITS
-        return start
+    def _draw_counters(self) -> dict[str, int]:
+        """Draw all counters of events, by name; many are at their maximum, or about to reach it."""
+        return {name: self._rng.choice([0, MAX_16_BITS - 1, MAX_16_BITS]) for name in COUNTER_NAMES}
 
     def _draw_observation(self) -> int:
         """Draw white (0) or black (1), in one of ten cases a number that is neither."""
@@ -450,14 +380,11 @@ class ScenarioWriter:
         return rng.choice([one_of_ten, any_id, self._setup.robot_id, MAX_ID, MAX_ID + 1, 255])
 
     def _draw_x_hat(self) -> int:
-        """Draw an x_hat in units of 2**-23: in half of the cases near one x_hat of the scenario, else any.
+        """Draw an x_hat in units of 2**-23, often near one x_hat of the scenario, or near 0, 1/2 or 1.
 
-        So the filter meets neighbours that agree and others that do not. Some of these others are at the ends
-        of the range, or too large.
+        So the filter meets neighbours that agree and others that do not. A few are too large.
         """
         rng = self._rng
-        side = rng.randint(-1, 1)
-        distance = draw_number_of_any_size(rng, min_bits=1, max_bits=19)
-        near = clamp(self._common_x_hat + side * distance, 0, ONE)
-        anywhere = rng.choice([rng.randint(0, ONE), rng.choice(SPECIAL_X_HATS)])
-        return rng.choice([near, anywhere])
+        x_hat = draw_at_edges(rng, [self._common_x_hat] * 3 + [0, HALF, ONE], 0, ONE)
+        too_large = rng.choice([ONE + 1, MAX_32_BITS])
+        return too_large if rng.random() < 0.05 else x_hat

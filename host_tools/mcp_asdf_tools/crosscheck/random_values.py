@@ -1,36 +1,26 @@
-"""Random values for calls of a robot, from pools that are heavy with edges.
+"""Random values for calls of a robot, most of them next to an edge.
 
-A uniform draw would hardly ever meet the values where an implementation can go wrong. So a pool holds both
-sides of every limit, the ends of every range, and numbers of any size from a few units up.
-
-Each function draws all candidates, and only then picks one of them. That takes more random numbers than
-needed, but it fixes their sequence: the golden vectors are made of it.
+A uniform draw would hardly ever meet the values where an implementation can go wrong: both sides of every
+limit, the ends of every range, and numbers of a few units.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from random import Random
 
 from mcp_asdf.arithmetic import Q32_HALF, Q32_ONE
-from mcp_asdf.fixed_point import (
-    ALPHA_MAX,
-    B_HAT_MAX,
-    B_HAT_MIN,
-    HALF,
-    LARGEST_ALPHA_UNITS,
-    MANTISSA_BITS,
-    MANTISSA_POSITION,
-    ONE,
-    SHIFT_MAX,
-)
+from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, LARGEST_ALPHA_UNITS, ONE
 from mcp_asdf.mirror import INFORMATIVE_G
 from mcp_asdf.robot import MAX_ROUND_SIZE, Sums
-from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, draw_normal_alpha
+from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, draw_alpha_of_bits
 from mcp_asdf_tools.crosscheck.image_numbers import MAX_32_BITS
 
 B_HAT_INFORMATIVE_DISTANCE = INFORMATIVE_G // 2
 """Distance of b_hat from 1/2 from which on an observation carries information, in units of 2**-32."""
 
+MAX_ALPHA_BITS = LARGEST_ALPHA_UNITS.bit_length()
+"""Bits of the largest confidence in units of 2**-24, 55."""
 IGNORED_ALPHA_BITS = 0xE0
 """Bits of an alpha word between its shift (5 bits) and its mantissa, which no firmware may evaluate."""
 
@@ -49,9 +39,6 @@ SPECIAL_ALPHAS = (
 )
 """Alpha words at edges."""
 
-SPECIAL_X_HATS = (0, 1, HALF - 1, HALF, HALF + 1, ONE - 1, ONE, ONE + 1, MAX_32_BITS)
-"""x_hat at edges, in units of 2**-23: the ends, next to them, 1/2, next to it, and two that are too large."""
-
 
 def clamp(value: int, minimum: int, maximum: int) -> int:
     """Return the value, or the limit beyond which it is."""
@@ -67,134 +54,96 @@ def draw_number_of_any_size(rng: Random, min_bits: int, max_bits: int) -> int:
     return rng.randrange(1 << bits)
 
 
+def draw_at_edges(rng: Random, edges: Sequence[int], minimum: int, maximum: int) -> int:
+    """Draw a number from ``minimum`` to ``maximum``, in half of the cases an edge or a unit beside one.
+
+    In a quarter of the cases it is at a distance of any size from an edge, so that few units are as frequent
+    as many, and in the last quarter anywhere. A number that would be out of the range becomes its end.
+    """
+    edge = rng.choice(edges)
+    beside_edge = edge + rng.randint(-1, 1)
+    range_bits = (maximum - minimum).bit_length()
+    off_edge = edge + rng.choice([-1, 1]) * draw_number_of_any_size(rng, 0, range_bits)
+    anywhere = rng.randint(minimum, maximum)
+    return clamp(rng.choice([beside_edge, beside_edge, off_edge, anywhere]), minimum, maximum)
+
+
 def draw_alpha(rng: Random) -> int:
-    """Draw an alpha word: in three of four cases one as robots send it, else one that a robot never forms.
+    """Draw an alpha word: in three of five cases one as robots send it, else one at an edge, or any bits.
 
-    The latter are words at edges, any 32 bits, words with ignored bits set, words with a shift although the
-    mantissa is short, and words without confidence.
+    Any bits are a word of up to 32 of them. Few are a word without confidence, or one with a shift although
+    the mantissa is short; and some are bits that must be ignored. A robot never forms such words.
     """
-    usual = draw_usual_alpha(rng)
-
+    usual = draw_alpha_of_bits(rng, 1, MAX_ALPHA_BITS)
     special = rng.choice(SPECIAL_ALPHAS)
-    any_word = rng.randint(0, MAX_32_BITS)
-    # Shows an implementation that takes these bits for a part of the mantissa or of the shift.
-    with_ignored_bits = usual | (IGNORED_ALPHA_BITS & rng.randint(0, MAX_32_BITS))
-    # Shows one that relies on the mantissa's highest bit wherever there is a shift.
-    mantissa_of_any_size = draw_number_of_any_size(rng, min_bits=1, max_bits=MANTISSA_BITS)
-    any_shift = rng.randrange(SHIFT_MAX + 1)
-    with_short_mantissa = (mantissa_of_any_size << MANTISSA_POSITION) | any_shift
-    # Shows one that asks whether the word is 0, not whether the mantissa is.
-    without_confidence = rng.randrange(1 << MANTISSA_POSITION)  # only bits below the mantissa
-    unusual = rng.choice([special, any_word, with_ignored_bits, with_short_mantissa, without_confidence])
-
-    return rng.choice([usual, usual, usual, unusual])
-
-
-def draw_usual_alpha(rng: Random) -> int:
-    """Draw an alpha word as robots send them, for a confidence of any size from 2**-24 to 2**31.
-
-    One of five is below 1/2, where the mantissa is short and the shift is 0.
-    """
-    if rng.random() < 0.2:
-        bits = rng.randrange(1, MANTISSA_BITS)
-        short_mantissa = rng.randrange(1, 1 << bits)
-        return short_mantissa << MANTISSA_POSITION  # with a shift of 0
-    return draw_normal_alpha(rng, min_shift=0, max_shift=SHIFT_MAX)
+    any_bits = draw_number_of_any_size(rng, 0, 32)
+    return rng.choice([usual, usual, usual, special, any_bits])
 
 
 def draw_b_hat(rng: Random) -> int:
     """Draw b_hat in units of 2**-32, an accuracy within the firmware's limits.
 
-    It is anywhere between them, or near to 1/2, or near to one of them:
-
-    - Near to 1/2 it is at 1/2 itself, where it just carries information, or at a distance of any size, so
-      that 1 / (2 b_hat - 1) has any size. One unit more or less shows a limit that is off by one.
-    - Near to a limit, where 1 - b_hat or b_hat itself has few bits, it is at the limit or at a distance of
-      any size from it.
+    Its edges are these limits, 1/2, and where it just carries information.
     """
-    distance = rng.choice([0, draw_number_of_any_size(rng, 1, 31), B_HAT_INFORMATIVE_DISTANCE])
-    side = rng.choice([-1, 1])
-    near_half = Q32_HALF + side * (distance + rng.randint(-1, 1))
-
-    off_low_end = B_HAT_MIN + draw_number_of_any_size(rng, 0, 30)
-    near_low_end = rng.choice([off_low_end, B_HAT_MIN])
-
-    anywhere = rng.randint(B_HAT_MIN, B_HAT_MAX)
-    # The limits lie alike on both sides: the upper one is 1 - B_HAT_MIN.
-    near_either_end = rng.choice([near_low_end, Q32_ONE - near_low_end])
-    b_hat = rng.choice([anywhere, near_half, near_either_end])
-    return clamp(b_hat, B_HAT_MIN, B_HAT_MAX)
+    just_informative = (Q32_HALF - B_HAT_INFORMATIVE_DISTANCE, Q32_HALF + B_HAT_INFORMATIVE_DISTANCE)
+    return draw_at_edges(rng, [B_HAT_MIN, Q32_HALF, *just_informative, B_HAT_MAX], B_HAT_MIN, B_HAT_MAX)
 
 
 def draw_t(rng: Random, memory: int) -> int:
-    """Draw a number of observations from 0 to ``memory`` - 1: of any size, near a power of two, or the last.
+    """Draw a number of observations from 0 to ``memory`` - 1. Its edges are a power of two, and the memory.
 
     ``memory`` is the number of observations at which t and n are halved.
     """
-    power_of_two = 1 << rng.randrange(32)
-    any_size = rng.randrange(2 * power_of_two)
     # Divisions and shifts by the count of bits change where t gets another bit.
-    near_power_of_two = power_of_two + rng.randint(-2, 1)
+    power_of_two = 1 << rng.randrange(32)
     # The next observation, or that after it or the third, reaches the memory.
-    before_halving = memory - rng.randint(1, 3)
-    t = rng.choice([any_size, near_power_of_two, before_halving])
-    return clamp(t, 0, memory - 1)
+    before_halving = memory - 2
+    return draw_at_edges(rng, [power_of_two, before_halving], 0, memory - 1)
 
 
 def draw_n(rng: Random, t: int, b_hat: int) -> int:
-    """Draw how many of ``t`` observations are black: any number, none, all, half, t b_hat or t (1 - b_hat).
+    """Draw how many of ``t`` observations are black. The edges are none, all, half, and two others.
 
-    Two of five draws are one of the last two: there eq. 3 changes its case, as x_hat reaches 0 or 1. The
-    number next to each of these, above or below, is as frequent.
+    At t b_hat and t (1 - b_hat) eq. 3 changes its case, as x_hat reaches 0 or 1. ``b_hat`` is in units of
+    2**-32.
     """
-    corner_share = rng.choice([b_hat, Q32_ONE - b_hat])  # units of 2**-32
-    corner = (t * corner_share) >> 32
-    any_number = rng.randint(0, t)
-    none_or_all = rng.choice([0, t])
-    n = rng.choice([any_number, none_or_all, t // 2, corner, corner])
-    return clamp(n + rng.randint(-1, 1), 0, t)
+    corners = [(t * share) >> 32 for share in (b_hat, Q32_ONE - b_hat)]
+    return draw_at_edges(rng, [0, t // 2, t, *corners], 0, t)
 
 
-def draw_extreme_sums(rng: Random) -> Sums:
-    """Draw sums over a round that messages might have: each at one of its limits, or anywhere between them.
-
-    The sums depend on each other, so the sums already drawn limit the next one. The order is the count of
-    messages, the sum of x_hat (x), the sum of alpha, the sum of alpha times x_hat, and the sum of the squares
-    of x_hat. The sum of alpha times x_hat is kept in two parts, alpha_x_low and alpha_x_high.
-    """
-    count = rng.choice([1, 2, 3, MAX_ROUND_SIZE, rng.randint(1, MAX_ROUND_SIZE)])
-    largest_x = count * ONE  # where all x_hat are 1
-    x = rng.choice([0, 1, rng.randint(0, largest_x), largest_x - 1, largest_x])
+def draw_sums(rng: Random) -> Sums:
+    """Draw sums over a round that messages might have. The edges of each are the limits that others leave."""
+    count = draw_at_edges(rng, [1, MAX_ROUND_SIZE], 1, MAX_ROUND_SIZE)
+    x = _draw_up_to(rng, count * ONE)  # where all x_hat are 1
     smallest_alpha = count  # one unit for every message
     largest_alpha = count * LARGEST_ALPHA_UNITS
-    alpha = rng.choice(
-        [smallest_alpha, rng.randint(smallest_alpha, largest_alpha), largest_alpha, largest_alpha]
-    )
-    largest_alpha_x = alpha * ONE  # where all x_hat are 1
-    alpha_x = rng.choice([0, rng.randint(0, largest_alpha_x), largest_alpha_x, largest_alpha_x])
-    alpha_x_low, alpha_x_high = _split_alpha_x(alpha_x, x)
+    alpha = draw_at_edges(rng, [smallest_alpha, largest_alpha], smallest_alpha, largest_alpha)
+    # The sum of alpha x_hat is kept in two parts: with the bits of each alpha from 32 up, and with those
+    # below. Either part is largest where all these bits are set, and both together where all x_hat are 1.
+    largest_alpha_x = alpha * ONE
+    alpha_x_high = _draw_up_to(rng, min(x * (LARGEST_ALPHA_UNITS >> 32), largest_alpha_x >> 32))
+    alpha_x_low = _draw_up_to(rng, min(x * MAX_32_BITS, largest_alpha_x - (alpha_x_high << 32)))
     # The squares are smallest where all x_hat are alike, and largest where each is 0 or 1.
     smallest_x_squared = (x * x + count - 1) // count  # the quotient, rounded up
     largest_x_squared = x * ONE
-    return Sums(
-        alpha=alpha,
-        alpha_x_low=alpha_x_low,
-        alpha_x_high=alpha_x_high,
-        x_squared=rng.choice([smallest_x_squared, largest_x_squared]),
-        x=x,
-        count=count,
+    x_squared = draw_at_edges(
+        rng, [smallest_x_squared, largest_x_squared], smallest_x_squared, largest_x_squared
     )
+    return Sums(alpha, alpha_x_low, alpha_x_high, x_squared, x, count)
 
 
-def _split_alpha_x(alpha_x: int, x: int) -> tuple[int, int]:
-    """Return the lower and the upper one of the two sums in which a firmware keeps the sum of alpha x_hat.
+def draw_sums_of_closed_round(rng: Random) -> tuple[int, int, int]:
+    """Draw the sums that are kept of a closed round. The edges of each are the limits that others leave.
 
-    The upper sum is of x_hat times the bits of alpha from 32 up, and the lower sum of x_hat times the 32 bits
-    below. As much as fits goes into the upper one, and what is left is cut to the limit of the lower one.
-    ``x`` is the sum of x_hat.
+    They are the sum of alpha, and the sum of alpha x_hat in two parts, the lower one first.
     """
-    largest_upper_sum = x * (LARGEST_ALPHA_UNITS >> 32)  # where every alpha is the largest
-    upper_sum = min(alpha_x >> 32, largest_upper_sum)
-    rest = alpha_x - (upper_sum << 32)
-    largest_lower_sum = min(x * MAX_32_BITS, (1 << 62) - 1)  # the firmware allows it 62 bits
-    return min(rest, largest_lower_sum), upper_sum
+    alpha = _draw_up_to(rng, MAX_ROUND_SIZE * LARGEST_ALPHA_UNITS)
+    largest_alpha_x = alpha * ONE  # where all x_hat are 1
+    alpha_x_low = _draw_up_to(rng, min((1 << 62) - 1, largest_alpha_x))
+    alpha_x_high = _draw_up_to(rng, (largest_alpha_x - alpha_x_low) >> 32)
+    return alpha, alpha_x_low, alpha_x_high
+
+
+def _draw_up_to(rng: Random, maximum: int) -> int:
+    """Draw a number from 0 to ``maximum``, which are its edges."""
+    return draw_at_edges(rng, [0, maximum], 0, maximum)

@@ -13,7 +13,7 @@ from random import Random
 
 from mcp_asdf.arithmetic import Q32_HALF, Q32_ONE, q32_quotient
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE
-from mcp_asdf.mirror import State, accuracy_of, reestimate
+from mcp_asdf.mirror import State, accuracy_of
 from mcp_asdf.robot import MAX_ID, Filter
 from mcp_asdf.robust_filter import (
     CENTRE_START,
@@ -35,7 +35,7 @@ from mcp_asdf.robust_filter import (
     q32_from_q24,
     slot_estimate,
 )
-from mcp_asdf_tools.crosscheck.crafted_rounds import draw_normal_alpha
+from mcp_asdf_tools.crosscheck.crafted_rounds import draw_alpha_of_bits
 from mcp_asdf_tools.crosscheck.crafted_slots import (
     SLOT_HALF,
     SLOT_INFORMATIVE_DISTANCE,
@@ -46,7 +46,9 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
 )
 from mcp_asdf_tools.crosscheck.random_scenarios import ScenarioWriter, draw_setup
 from mcp_asdf_tools.crosscheck.random_values import (
+    MAX_ALPHA_BITS,
     clamp,
+    draw_at_edges,
     draw_b_hat,
     draw_n,
     draw_number_of_any_size,
@@ -57,16 +59,6 @@ from mcp_asdf_tools.crosscheck.scenario import Scenario
 _CENTRE_ONE = q30_from_q23(ONE)
 _SLOT_UNIT = q30_from_q23(q23_from_q16(1))
 """Unit of the estimates in slots, as a number of units of the votes."""
-
-_VOTE_COUNTS = (
-    # No vote, and first ones
-    *(0, 1, 2),
-    # The gain is constant up to 63 votes, and then halves at each power of two.
-    *(*range(30, 33), *range(62, 65), 126, 127, 128, 255, 256),
-    # More than 2**9 votes are not counted, and a larger number is not legal.
-    *range(VOTES_MAX - 2, VOTES_MAX + 1),
-)
-"""Numbers of votes at the edges of the gain."""
 
 _DISTANCES_OF_SLOW_CENTRE = (0, 3, 3, 3, 6, 7, 8, 14, 41, 41, 41, 68, 68, 164, 186, 377, 377, *([833] * 15))
 """Distances of estimates from the smallest, with which each of five steps still moves their centre.
@@ -94,8 +86,23 @@ class RobustScenarioWriter(ScenarioWriter):
     # --- Calls ---
 
     def _add_restore_at_limits(self) -> None:
-        """Restore a robot whose filter remembers one value at its limit or just beyond, and settle."""
-        self._add_restore(self._draw_filter_memory_at_limits())
+        """Restore a drawn robot whose filter remembers one value at its limit or just beyond, and settle.
+
+        So the firmware must refuse some of these images. In one of ten cases the estimate of a slot is
+        replaced, too, though the slot may be empty.
+        """
+        rng = self._rng
+        robot = self._draw_robot()
+        numbers = self._image_numbers(robot)
+        limits_by_name = _limits_by_name(robot)
+        name = rng.choice(list(limits_by_name))
+        value = rng.choice(limits_by_name[name]) + rng.choice([-1, 0, 0, 1])
+        numbers[name] = self._clamp_to_image(name, value)
+        if rng.random() < 0.1:
+            # The estimate of an empty slot must be 0.
+            slot = rng.randrange(SLOTS)
+            numbers[f"estimates_{slot}"] = rng.choice([0, 1, SLOT_ESTIMATE_MAX])
+        self._add_restore(numbers)
         self._add_call("settle")
 
     def _add_test_at_threshold(self) -> None:
@@ -150,10 +157,9 @@ class RobustScenarioWriter(ScenarioWriter):
         """Append calls that restore this robot from an image, and end a round at whose end its filter runs.
 
         In one of five cases the robot receives a message before the round ends, whose estimate may replace
-        one of those that it keeps and tests itself against. The present b_hat of ``robot`` is drawn here.
+        one of those that it keeps and tests itself against.
         """
-        self._draw_present_b_hat(robot)
-        self._add_restore(self._image_numbers(robot) | self._draw_start_of_filter_run())
+        self._add_restore(self._image_numbers(robot) | {"filter_left": 1, **self._draw_counters()})
         if self._rng.random() < 0.2:
             self._add_receive()
         self._add_call("settle")  # ends the round
@@ -163,18 +169,21 @@ class RobustScenarioWriter(ScenarioWriter):
     def _image_numbers(self, robot: State) -> dict[str, int]:
         """Return the numbers of an image of this robot, by name, with an x_hat and alpha that are drawn.
 
-        Its b_hat becomes that of the scenario's robot from now on.
+        In half of the cases its present b_hat is drawn, too, if an earlier test may have changed it: if the
+        next test passes, the initial one must come back. It is that of the scenario's robot from now on.
         """
         rng = self._rng
-        self._b_hat = robot.accuracy.b_hat
-        # Without confidence (0) the robot's own estimate does not vote.
-        mantissa_without_shift = rng.randrange(1 << 24) << 8
+        self._b_hat = robot.robust.initial_b_hat
+        if _may_have_been_tested(robot) and rng.random() < 0.5:
+            self._b_hat = draw_b_hat(rng)
+        own_position = q23_from_q30(self._draw_vote_at_edge(robot.robust))
         return {
             "b_hat": self._b_hat,
             "t": robot.t,
             "n": robot.n,
-            "x_hat": self._draw_own_x_hat(robot.robust),
-            "alpha": rng.choice([0, mantissa_without_shift, draw_normal_alpha(rng)]),
+            "x_hat": draw_at_edges(rng, [own_position], 0, ONE),
+            # Without confidence (0) the robot's own estimate does not vote.
+            "alpha": rng.choice([0, draw_alpha_of_bits(rng, 1, MAX_ALPHA_BITS)]),
             # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from it.
             "updated": 1,
             **_memory_numbers(robot),
@@ -190,35 +199,6 @@ class RobustScenarioWriter(ScenarioWriter):
         if _may_have_been_tested(robot):
             robot.robust.initial_b_hat = self._rng.choice([self._b_hat, draw_b_hat(self._rng)])
         return _memory_numbers(robot)
-
-    def _draw_filter_memory_at_limits(self) -> dict[str, int]:
-        """Draw an image, as numbers by name, in which one value that the filter remembers is at a limit.
-
-        In half of the cases it is one unit above or below instead, so that the firmware must refuse some of
-        these images. In one of ten cases the estimate of a slot is replaced, too, though the slot may be
-        empty. The robot is drawn.
-        """
-        rng = self._rng
-        robot = self._draw_robot()
-        self._draw_present_b_hat(robot)
-        numbers = self._image_numbers(robot)
-        limits_by_name = _limits_by_name(robot)
-        name = rng.choice(list(limits_by_name))
-        value = rng.choice(limits_by_name[name]) + rng.choice([-1, 0, 0, 1])
-        numbers[name] = self._clamp_to_image(name, value)
-        if rng.random() < 0.1:
-            # The estimate of an empty slot must be 0.
-            slot = rng.randrange(SLOTS)
-            numbers[f"estimates_{slot}"] = rng.choice([0, 1, SLOT_ESTIMATE_MAX])
-        return numbers
-
-    def _draw_present_b_hat(self, robot: State) -> None:
-        """Draw another b_hat for a robot in half of the cases, if an earlier test may have changed it.
-
-        If the next test passes, the initial b_hat must come back.
-        """
-        if _may_have_been_tested(robot) and self._rng.random() < 0.5:
-            robot.accuracy = accuracy_of(draw_b_hat(self._rng))
 
     # --- Values ---
 
@@ -240,7 +220,8 @@ class RobustScenarioWriter(ScenarioWriter):
         robot.robust.filled_slots = self._draw_filled_slots()
         # Only estimates that are kept vote.
         if robot.robust.filled_slots:
-            robot.robust.votes = self._rng.choice(_VOTE_COUNTS)
+            # The gain halves where their number reaches a power of two, the last of which is the limit.
+            robot.robust.votes = draw_at_edges(self._rng, [0, 1 << self._rng.randrange(10)], 0, VOTES_MAX)
         if robot.robust.votes > 0:
             self._fill_in_votes(robot.robust)
         self._fill_in_batch(robot)
@@ -250,100 +231,66 @@ class RobustScenarioWriter(ScenarioWriter):
     def _fill_in_votes(self, robust: RobustFilter) -> None:
         """Draw the centre and the spread of the votes, and whose turn to vote is next.
 
-        That is slot 0, or the slot after a filled slot, often after the last.
+        The centre is often near the x_hat of messages, 0 or 1. The spread is often next to a power of two:
+        the firmware shifts it to change it, and rounds otherwise where it has one bit less.
         """
-        robust.centre = self._draw_centre()
-        robust.spread = self._draw_spread()
+        rng = self._rng
+        centre_of_messages = q30_from_q23(self._common_x_hat)
+        centre = draw_at_edges(rng, [0, centre_of_messages, _CENTRE_ONE], 0, _CENTRE_ONE)
+        power_of_two = 1 << rng.randrange(18, 29)  # from SPREAD_MIN to SPREAD_MAX
+        spread = draw_at_edges(rng, [SPREAD_MIN, power_of_two, power_of_two], SPREAD_MIN, SPREAD_MAX)
+        # In half of the cases they are multiples of the unit of slots, so that a vote can be at the centre,
+        # or exactly as far from it as the spread.
+        unit = rng.choice([1, _SLOT_UNIT])
+        robust.centre = centre // unit * unit
+        robust.spread = spread // unit * unit
+        robust.turn = self._draw_turn(robust)
+
+    def _draw_turn(self, robust: RobustFilter) -> int:
+        """Draw the turn to vote: that of slot 0, or of the slot after a filled one, often after the last."""
         filled_slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
-        turn_after_any = self._rng.choice(filled_slots) + 1
-        turn_after_last = filled_slots[-1] + 1
-        robust.turn = self._rng.choice([0, turn_after_any, turn_after_last])
+        after_any = self._rng.choice(filled_slots) + 1
+        after_last = filled_slots[-1] + 1
+        return self._rng.choice([0, after_any, after_last])
 
     def _draw_filled_slots(self) -> int:
         """Draw which slots are filled, as a mask of a bit a slot: none, one, about five, any number, all.
 
-        Five are just enough for a test. A single one is often the first or the last slot.
+        Five are just enough for a test.
         """
         rng = self._rng
         count = rng.choice([0, 1, 4, 5, 5, 6, rng.randint(0, SLOTS), SLOTS - 1, SLOTS])
-        slots = rng.sample(range(SLOTS), count)
-        if count == 1:
-            # A shift by 32, or a search from bit 1 on, would miss a slot at an end of the mask.
-            slots = rng.choice([[0], [SLOTS - 1], slots])
-        return sum(1 << slot for slot in slots)
+        return sum(1 << slot for slot in rng.sample(range(SLOTS), count))
 
     def _fill_in_batch(self, robot: State) -> None:
         """Draw the dispersion of a robot's observations, and the batch that its next run of the filter ends.
 
         The batch is the last of its observations. Drawn are how many these are, and how many of them were
-        black. From these follow the counts with which the batch began. If it began with the first
-        observation, no batch has ended yet, and the dispersion is that of a new robot.
+        black: often the expected number, or one so far from it that the batch is just an outlier, or just
+        not. From these follow the counts with which the batch began. If it began with the first observation,
+        no batch has ended yet, and the dispersion is that of a new robot.
         """
         rng = self._rng
         t, n = robot.t, robot.n
-        if t == 0:
-            return
-        count_of_any_size = min(draw_number_of_any_size(rng, 1, 31), t)
-        batch_count = rng.choice([0, 1, count_of_any_size, rng.randint(0, t)])
+        batch_count = draw_at_edges(rng, [0, t], 0, t)
         if batch_count == t:
             return
-        robot.robust.dispersion = self._draw_dispersion()
-        robot.robust.batch_t = t - batch_count
-        robot.robust.batch_n = n - self._draw_black_count_of_batch(robot, batch_count)
-
-    def _draw_black_count_of_batch(self, robot: State, batch_count: int) -> int:
-        """Draw how many of the robot's last ``batch_count`` observations were black.
-
-        It is the smallest or the largest possible number, or lies near the expected one, or so far from it
-        that the batch is just an outlier, or just not.
-        """
-        rng = self._rng
-        white_count = robot.t - robot.n
+        robot.robust.dispersion = draw_at_edges(
+            rng, [DISPERSION_MIN, DISPERSION_MAX], DISPERSION_MIN, DISPERSION_MAX
+        )
+        expected_black_count = batch_count * n // t
+        deviation = _largest_usual_deviation(robot, batch_count)
         # The batch has no more observations of a colour than the robot has made in all.
-        smallest_black_count = max(batch_count - white_count, 0)
-        largest_black_count = min(batch_count, robot.n)
-        expected_black_count = batch_count * robot.n // robot.t
-        small_deviation = draw_number_of_any_size(rng, 0, 8)
-        deviation = rng.choice([0, small_deviation, _largest_usual_deviation(robot, batch_count)])
-        deviating_black_count = expected_black_count + rng.choice([-1, 1]) * deviation + rng.randint(-1, 1)
-        black_count = rng.choice([deviating_black_count, smallest_black_count, largest_black_count])
-        return clamp(black_count, smallest_black_count, largest_black_count)
-
-    def _draw_dispersion(self) -> int:
-        """Draw a dispersion of observations, in units of 2**-8: at either limit, or of any size between."""
-        rng = self._rng
-        small_dispersion = DISPERSION_MIN + draw_number_of_any_size(rng, 1, 8)
-        any_dispersion = clamp(draw_number_of_any_size(rng, 9, 16), DISPERSION_MIN, DISPERSION_MAX)
-        large_dispersion = DISPERSION_MAX - rng.randrange(2)
-        return rng.choice([DISPERSION_MIN, small_dispersion, any_dispersion, large_dispersion])
-
-    def _draw_centre(self) -> int:
-        """Draw a centre of the votes in units of 2**-30: near the x_hat of messages, anywhere, 0 or 1.
-
-        The four choices are equally likely. Half of the centres are multiples of 2**-16, as the estimates in
-        slots are, so that a vote can equal them.
-        """
-        rng = self._rng
-        max_distance = _CENTRE_ONE >> 10
-        near_messages = q30_from_q23(self._common_x_hat) + rng.randint(-max_distance, max_distance)
-        anywhere = rng.randint(0, _CENTRE_ONE)
-        centre = clamp(rng.choice([near_messages, anywhere, 0, _CENTRE_ONE]), 0, _CENTRE_ONE)
-        multiple_of_slot_unit = centre // _SLOT_UNIT * _SLOT_UNIT
-        return rng.choice([centre, multiple_of_slot_unit])
-
-    def _draw_spread(self) -> int:
-        """Draw a spread of the votes in units of 2**-30, in half of the cases next to a power of two.
-
-        The firmware shifts the spread to change it, and rounds otherwise where it has one bit less. One of
-        three draws is a multiple of 2**-16, as the estimates in slots are.
-        """
-        rng = self._rng
-        power_of_two = 1 << rng.randrange(18, 29)  # from SPREAD_MIN to SPREAD_MAX
-        any_smaller = rng.randrange(power_of_two)
-        around_power = power_of_two + rng.choice([-1, 0, 1, any_smaller])
-        multiple_of_slot_unit = any_smaller // _SLOT_UNIT * _SLOT_UNIT
-        spread = rng.choice([around_power, around_power, multiple_of_slot_unit])
-        return clamp(spread, SPREAD_MIN, SPREAD_MAX)
+        smallest_black_count = max(batch_count - (t - n), 0)
+        largest_black_count = min(batch_count, n)
+        black_count = draw_at_edges(
+            rng,
+            [expected_black_count - deviation, expected_black_count, expected_black_count + deviation],
+            smallest_black_count,
+            largest_black_count,
+        )
+        robot.robust.batch_t = t - batch_count
+        robot.robust.batch_n = n - black_count
 
     def _draw_estimates(self, robust: RobustFilter) -> list[int]:
         """Draw the estimates of all slots, in units of 2**-16: 0 for an empty slot.
@@ -360,17 +307,6 @@ class RobustScenarioWriter(ScenarioWriter):
                 estimate_of_message = slot_estimate(min(self._draw_x_hat(), ONE))
                 estimates[slot] = rng.choice([shared_estimate, estimate_of_message])
         return estimates
-
-    def _draw_own_x_hat(self, robust: RobustFilter) -> int:
-        """Draw an x_hat of the robot itself, in units of 2**-23.
-
-        In half of the cases `_draw_vote_at_edge` draws it, or it is a unit beside that. In the other half it
-        is drawn as for a message.
-        """
-        rng = self._rng
-        position = q23_from_q30(self._draw_vote_at_edge(robust)) + rng.randint(-1, 1)
-        x_hat_of_message = min(self._draw_x_hat(), ONE)  # Some x_hat of messages are too large.
-        return rng.choice([clamp(position, 0, ONE), x_hat_of_message])
 
     def _draw_vote_at_edge(self, robust: RobustFilter) -> int:
         """Draw where a vote meets an edge: at the centre of the votes, or the spread above or below it.
@@ -399,37 +335,38 @@ class RobustScenarioWriter(ScenarioWriter):
         return chosen_slots.estimates
 
     def _draw_supporters_and_others(self, robot: State, count: int) -> tuple[int, ...] | None:
-        """Draw estimates by which the robot's test rejects, though about two in five support the robot.
+        """Draw estimates by which the robot's test rejects, though two in five support it, or one more.
 
-        The others agree on an estimate that contradicts its observations. There are at least 11 estimates,
-        also for a smaller ``count``, so that these others are more than a half. The result is None if the
-        test does not reject by such estimates.
+        The others agree on an estimate that contradicts its observations. There are 15, 20, 25 or 30, for any
+        ``count``. The result is None if the test does not reject by such estimates.
         """
-        count = max(count, 11)
-        supporter_count = 2 * count // 5 + self._rng.randint(0, 1)
-        slots = slots_with_supporters(robot, count, supporter_count)
+        fifth = self._rng.randint(3, 6)
+        supporter_count = 2 * fifth + self._rng.randint(0, 1)
+        slots = slots_with_supporters(robot, 5 * fifth, supporter_count)
         return None if slots is None else slots.estimates
 
     def _draw_supporters_and_tie(self, robot: State, count: int) -> tuple[int, ...] | None:
         """Draw estimates: two in five support the robot, and one more almost does.
 
         The others agree on another estimate. There are at least 12 estimates, also for a smaller ``count``,
-        so that the others are more than a half. The robot gets an initial b_hat by which that one
-        estimate is in a tie, which must not count as support; the result is None if there is no such b_hat.
+        so that the others are more than a half. The robot gets observations by which that one estimate is in
+        a tie, which must not count as support; the result is None if there are no such observations.
         """
         count = max(count, 12)
         supporter_count = 2 * count // 5
-        supporter, tied, other = self._rng.sample(range(SLOT_ONE), 3)
+        tied, other = self._rng.sample(range(SLOT_ONE), 2)
+        supporter = clamp(2 * tied - other, 0, SLOT_ESTIMATE_MAX)  # which predicts what the robot observes
         other_count = count - supporter_count - 1
         estimates = (supporter,) * supporter_count + (tied,) + (other,) * other_count
-        # An estimate supports the robot if the share of black that it predicts is nearer to the robot's than
-        # to the share that the Huber centre of all estimates predicts. A b_hat is searched with which the
-        # prediction of the tied one is as far from both.
-        centre, _spread = centre_and_spread(estimates)  # in units of 2**-24
-        b_hat = _find_b_hat_of_tie(robot, q24_from_q16(tied), centre)
-        if b_hat is None:
+        share = _black_share_of_tie(robot, tied, estimates)
+        # Each of 2**30 observations is 4 units of the share, and the firmware's n / t is 1 to 4 too small.
+        t = 1 << 30
+        n = share // 4 + 1
+        is_possible = 0 <= n <= t < self._setup.memory and q32_quotient(n, t) == share
+        if not is_possible:
             return None
-        _replace_b_hat(robot, b_hat)
+        robot.t = t
+        _replace_observations(robot, n)
         return estimates
 
     def _draw_opposite_estimates(self, robot: State, count: int) -> tuple[int, ...]:
@@ -442,7 +379,7 @@ class RobustScenarioWriter(ScenarioWriter):
         # The centre, 1/2, predicts half black, and the share of black is 1/2 off. So the test rejects if
         # 1/4 > 12 g**2 spread**2 for g = 2 b_hat - 1. The limited spread is 1/4, and without limit it is 1/2.
         distance_from_half = round(rng.uniform(0.15, 0.28) * Q32_ONE)  # g is twice that
-        _replace_b_hat(robot, Q32_HALF + rng.choice([-1, 1]) * distance_from_half)
+        robot.robust.initial_b_hat = Q32_HALF + rng.choice([-1, 1]) * distance_from_half
         _replace_observations(robot, rng.choice([0, robot.t]))
         return (0, SLOT_ESTIMATE_MAX) * max(count // 2, 3)
 
@@ -463,9 +400,11 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_slowly_centred_estimates(self, robot: State, count: int) -> tuple[int, ...]:
         """Draw 32 estimates whose Huber centre three steps do not reach, so that a fourth would show.
 
-        There are 32 for any ``robot`` and ``count``.
+        There are 32 for any ``count``. The robot gets observations with any share of black: a b_hat that is
+        re-estimated from them is seldom at a limit, where it would not show the centre.
         """
         rng = self._rng
+        _replace_observations(robot, rng.randint(0, robot.t))
         direction = rng.choice([-1, 1])
         scale = rng.choice([1, 2, 4, 8])
         start = rng.randint(0, SLOT_ESTIMATE_MAX)
@@ -482,12 +421,6 @@ def _may_have_been_tested(robot: State) -> bool:
     filled_slots = robot.robust.filled_slots.bit_count()  # a mask with a bit for each slot
     has_ended_batch = robot.robust.batch_t > 0
     return filled_slots >= TESTED_ESTIMATES_MIN and has_ended_batch
-
-
-def _replace_b_hat(robot: State, b_hat: int) -> None:
-    """Give the robot another b_hat, which is both the initial and the present one."""
-    robot.accuracy = accuracy_of(b_hat)
-    robot.robust.initial_b_hat = b_hat
 
 
 def _replace_observations(robot: State, n: int) -> None:
@@ -539,7 +472,7 @@ def _limits_by_name(robot: State) -> dict[str, tuple[int, ...]]:
     return {
         "robust_centre": (0, _CENTRE_ONE, CENTRE_START),
         "robust_spread": (SPREAD_MIN, SPREAD_MAX),
-        "robust_initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robot.accuracy.b_hat),
+        "robust_initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robust.initial_b_hat),
         "robust_filled_slots": (robust.filled_slots, slots_without_first),
         "robust_batch_t": (0, robust.batch_n, largest_batch_t),
         "robust_batch_n": (0, robot.n, robust.batch_t, smallest_batch_n),
@@ -565,38 +498,15 @@ def _largest_usual_deviation(robot: State, batch_count: int) -> int:
     return isqrt(square_limit)
 
 
-def _find_b_hat_of_tie(robot: State, estimate: int, centre: int) -> int | None:
-    """Return an initial b_hat by which an estimate neither supports the robot nor contradicts it, or None.
+def _black_share_of_tie(robot: State, estimate: int, all_estimates: tuple[int, ...]) -> int:
+    """Return the share of black that a robot must have observed for a tie of an estimate, in units of 2**-32.
 
-    By b_hat an estimate predicts a share of black observations. The estimate supports the robot if this share
-    is nearer to the observed share than to the share that the centre of all estimates predicts. Here it is
-    exactly as far from both. ``estimate`` and ``centre`` are in units of 2**-24, and b_hat is in units of
-    2**-32.
+    An estimate supports the robot if the share that it predicts by the initial b_hat is nearer to the
+    observed one than to the share that the centre of all estimates predicts. In a tie it is exactly as far
+    from both. The result may be out of 0 .. 1. Estimates are in units of 2**-16.
     """
-    # Seen from the estimate, this point lies opposite to the centre, and as far away. With the b_hat sought,
-    # the point predicts the observed share.
-    opposite_point = 2 * estimate - centre
-    if not 0 <= opposite_point < q24_from_q16(SLOT_ONE):
-        return None
-    b_hat_of_point = reestimate(robot.t, robot.n, q32_from_q24(opposite_point))
-    if b_hat_of_point is None:
-        return None
-    # The prediction is rounded, so that a b_hat a few units beside may be the one.
-    first_b_hat = max(b_hat_of_point - 8, B_HAT_MIN)
-    end_of_b_hats = min(b_hat_of_point + 8, B_HAT_MAX)
-    for b_hat in range(first_b_hat, end_of_b_hats):
-        if _is_tie(robot, b_hat, estimate, centre):
-            return b_hat
-    return None
-
-
-def _is_tie(robot: State, b_hat: int, estimate: int, centre: int) -> bool:
-    """Return whether the share of black that an estimate predicts by b_hat is equally far from two others.
-
-    These are the share that the robot has observed, and the share that the centre of all estimates predicts.
-    ``estimate`` and ``centre`` are in units of 2**-24, and b_hat is in units of 2**-32.
-    """
-    observed_share = q32_quotient(robot.n, robot.t)
-    prediction = probability_of_black(b_hat, q32_from_q24(estimate))
+    b_hat = robot.robust.initial_b_hat
+    centre, _spread = centre_and_spread(all_estimates)  # in units of 2**-24
+    prediction = probability_of_black(b_hat, q32_from_q24(q24_from_q16(estimate)))
     prediction_of_centre = probability_of_black(b_hat, q32_from_q24(centre))
-    return abs(prediction - observed_share) == abs(prediction - prediction_of_centre)
+    return 2 * prediction - prediction_of_centre

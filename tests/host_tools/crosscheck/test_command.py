@@ -116,7 +116,7 @@ def test_the_json_report_counts_scenarios_tests_and_events_of_the_robust_filter(
 ) -> None:
     """A scenario is a robot and its calls; a vote, for one, is an estimate that the filter has weighed.
 
-    With the default seed, 6000 calls are of 94 scenarios, and a filter makes 162 tests in them. The limits
+    With the default seed, 6000 calls are of 59 scenarios, and a filter makes 126 tests in them. The limits
     are far below, so that other scenarios do not break this test.
     """
     events = {"vote", "own vote", "too few", "accepted", "rejected", "returned"}
@@ -293,7 +293,7 @@ def test_a_failure_is_shown_by_the_fewest_calls_that_lead_to_it(failed_check: Co
     """
     scenario = parse_failing_scenario(failed_check.output)
     assert failed_check.exit_code == 1
-    assert [call.name for call in scenario.calls] == ["restore", "observe"]
+    assert [call.name for call in scenario.calls] == ["restore", "step"]
 
 
 def test_the_command_in_the_last_line_of_a_failed_check_prints_the_failure_again(
