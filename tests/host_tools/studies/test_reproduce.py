@@ -12,7 +12,7 @@ import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -92,45 +92,32 @@ def test_a_study_of_one_part_writes_its_results_and_a_report_in_three_formats(
     }
 
 
-@dataclass
-class OpenedStores:
-    """The folder and the parts of the study with which the command has opened its results."""
-
-    folder: Path | None = None
-    parts: list[StudyPart] | None = None
-
-
 @pytest.fixture
-def opened_stores(monkeypatch: pytest.MonkeyPatch) -> OpenedStores:
-    """What the command opens its results with; the command ends then, before any trial."""
-    opened_stores = OpenedStores()
-
-    def record_and_end(folder: Path, experiments_by_key: dict[tuple[StudyPart, str], Any]) -> None:
-        opened_stores.folder = folder
-        opened_stores.parts = [study_part for study_part, _users_name in experiments_by_key]
-        raise UsageError("no trial is to be run")
-
-    monkeypatch.setattr(reproduce, "open_stores", record_and_end)
-    return opened_stores
+def open_stores(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """Stands for the function that opens results in a folder; the command ends there, before any trial."""
+    open_stores = Mock(side_effect=UsageError("no trial is to be run"))
+    monkeypatch.setattr(reproduce, "open_stores", open_stores)
+    return open_stores
 
 
 @pytest.mark.parametrize(
     ("options", "folder"), [([], "reproduction"), (["--quick"], "reproduction-quick")], ids=["full", "quick"]
 )
 def test_a_study_without_the_option_output_goes_into_the_folder_that_the_documentation_names(
-    options: list[str], folder: str, opened_stores: OpenedStores
+    options: list[str], folder: str, open_stores: Mock
 ) -> None:
     """A quick study has another folder, so that nobody takes its trials for the full study's."""
     cli.main(["reproduce", *options])
-    assert opened_stores.folder == Path(folder)
+    folder_of_results, _experiments_by_store = open_stores.call_args.args
+    assert folder_of_results == Path(folder)
 
 
-def test_a_study_runs_all_parts_that_the_options_name_in_the_order_of_the_paper(
-    opened_stores: OpenedStores,
-) -> None:
+def test_a_study_runs_all_parts_that_the_options_name_in_the_order_of_the_paper(open_stores: Mock) -> None:
     """Figure 5 of the paper needs both parts that are named here. The paper begins with connected swarms."""
     cli.main(["reproduce", "--part", "dynamic", "--part", "fully_connected"])
-    assert opened_stores.parts == [StudyPart.FULLY_CONNECTED, StudyPart.DYNAMIC]
+    _folder, experiments_by_store = open_stores.call_args.args
+    parts = [study_part for study_part, _users_name in experiments_by_store]
+    assert parts == [StudyPart.FULLY_CONNECTED, StudyPart.DYNAMIC]
 
 
 def test_a_study_prints_its_claims_the_path_of_its_report_and_the_command_that_repeats_it(
