@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from mutation.killers import third_object
+from mutation.c_killers import third_object
 from proofs.source import HERE
 from support import CORE, ROOT, TABLE, require, run
 
