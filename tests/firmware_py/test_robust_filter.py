@@ -13,7 +13,7 @@ import pytest
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Status
-from mcp_asdf.robust_filter import RobustFilter, centre_after_huber_step
+from mcp_asdf.robust_filter import RobustFilter, centre_after_huber_step, is_supported
 from robots import (
     ALPHA_MIN,
     ALPHA_ONE,
@@ -577,6 +577,14 @@ def test_the_centre_of_neighbours_at_an_end_of_the_range_stays_within_it(end: in
     """
     estimates = [end] * 5
     assert centre_after_huber_step(estimates, centre, spread=4096) == end
+
+
+def test_an_estimate_that_is_as_near_to_the_centre_as_to_the_robot_does_not_support_the_robot() -> None:
+    """With b_hat 3/4 and a centre of 1/16, 9 of 32 observations are black: 3/4 * 1/16 + 1/4 * 15/16."""
+    robust = RobustFilter(initial_b_hat=3 * 2**30)
+    centre, half = 2**20, 2**23
+
+    assert not is_supported(robust, t=32, n=9, estimates=[half] * 5, centre=centre)
 
 
 def test_an_estimate_at_the_distance_of_the_spread_is_inside() -> None:
