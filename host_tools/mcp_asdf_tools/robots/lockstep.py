@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import TypeVar
 
 import can
@@ -47,7 +47,7 @@ _SECONDS_BETWEEN_CHECKS = 0.1
 _MAX_ROBOTS_IN_ERROR = 8
 """Missing robots that an error names."""
 
-Answer = TypeVar("Answer", Estimate, Telemetry)
+Answer = TypeVar("Answer", Estimate, Telemetry, Heartbeat)
 
 
 class LockstepError(RuntimeError):
@@ -88,6 +88,8 @@ class Lockstep:
         self._on_frame = on_frame
         self.check = check
         self._sent_command_count = 0
+        self._heartbeats: dict[int, Heartbeat] = {}
+        """First heartbeat of each robot since the last wait for heartbeats began, by id."""
         self._estimates: dict[int, Estimate] = {}
         """First estimate of each robot in this tick, by id."""
         self._telemetry: dict[int, Telemetry] = {}
@@ -95,18 +97,16 @@ class Lockstep:
         self._next_transfer_ids: dict[int, int] = {}
         """Number that the next telemetry of each robot must have, by id; empty before its first."""
         self._last_actions: Mapping[int, Action] = {}
-        """Actions that robots were commanded last, by id, for the case that a command is lost."""
+        """Actions that robots were commanded last, by id, to be commanded again if no answer comes."""
 
     def wait_until_up(self, robots: Collection[int], timeout: float) -> None:
         """Wait until a heartbeat of each of ``robots`` (ids) has come.
 
         Raises LockstepError, naming the missing robots, after ``timeout`` seconds.
         """
-        missing_robots = set(robots)
-        for frame in self._receive_while_missing(missing_robots, "send a heartbeat", timeout):
-            heartbeat = decode_heartbeat(frame)
-            if isinstance(heartbeat, Heartbeat):
-                missing_robots.discard(heartbeat.sender)
+        self._heartbeats.clear()
+        self._last_actions = {}  # a heartbeat answers no command, so that none is repeated
+        self._wait_for_answers(robots, self._heartbeats, "send a heartbeat", timeout)
 
     def observe(self, observations: Mapping[int, Observation | None]) -> None:
         """Command robots to begin a tick, and forget the estimates of the last one.
@@ -130,7 +130,7 @@ class Lockstep:
         Of several estimates of one robot the first is returned. Raises LockstepError if one sends none
         within the time limit.
         """
-        return self._wait_for_answers(robots, self._estimates, "broadcast its estimate")
+        return self._wait_for_answers(robots, self._estimates, "broadcast its estimate", self._timeout)
 
     def settle(self, robots: Collection[int]) -> dict[int, Telemetry]:
         """Command ``robots`` to settle, wait for their telemetry, and return it by id; the tick is then over.
@@ -141,7 +141,7 @@ class Lockstep:
         self._telemetry.clear()  # telemetry that came before the command is no answer to it
         self._last_actions = {robot: Action.SETTLE for robot in robots}
         self._send_commands(self._last_actions)
-        answers = self._wait_for_answers(robots, self._telemetry, "settle")
+        answers = self._wait_for_answers(robots, self._telemetry, "settle", self._timeout)
         for robot, answer in answers.items():
             self._check_transfer_id(robot, answer.transfer_id)
         # Only now: after an error the tick is still open.
@@ -189,74 +189,55 @@ class Lockstep:
             self._on_frame(frame)
 
     def _wait_for_answers(
-        self, robots: Collection[int], answers: Mapping[int, Answer], expected_answer: str
+        self, robots: Collection[int], answers: Mapping[int, Answer], expected_answer: str, seconds: float
     ) -> dict[int, Answer]:
-        """Wait until ``answers`` has an entry for each of ``robots``, and return these entries by id.
+        """Receive frames until ``answers`` has an entry for each of ``robots``, and return these by id.
 
-        ``answers`` is one of this object's stores, which fill while frames are received. ``expected_answer``
-        says in an error what a robot did not do. Raises LockstepError after the time limit. An answer may
-        have come already, while an earlier one was awaited.
-        """
-        missing_robots = set(robots) - answers.keys()
-        received_frames = self._receive_while_missing(
-            missing_robots, expected_answer, self._timeout, self._last_actions
-        )
-        for _frame in received_frames:
-            # If this frame is an answer, it has been stored in ``answers``. The set is changed in place, as
-            # ``received_frames`` watches it, and ends when it is empty.
-            missing_robots.difference_update(answers)
-        return {robot: answers[robot] for robot in robots}
-
-    def _receive_while_missing(
-        self,
-        missing_robots: set[int],
-        expected_answer: str,
-        seconds: float,
-        actions: Mapping[int, Action] | None = None,
-    ) -> Iterator[can.Message]:
-        """Receive, store and yield frames until the caller has emptied ``missing_robots``.
-
-        After half of ``seconds`` the robots that are still missing get the commands for their ``actions``
-        again, and another half of ``seconds`` from then on: a robot follows a command that it has missed, and
-        ignores the repetition of one that it has received. The caller's ``check`` is called several times per
-        second. Raises LockstepError, naming the missing robots, after ``seconds``; on a bus that is never
-        quiet after twice that.
+        ``answers`` is one of this object's stores, which fill while frames are received. An answer may have
+        come already, while an earlier one was awaited. After half of ``seconds`` the robots that are still
+        missing get their last commands again, if there are any, and another half of ``seconds`` from then on:
+        a robot follows a command that it has missed, and ignores the repetition of one that it has received.
+        The caller's ``check`` is called several times per second. Raises LockstepError, naming the missing
+        robots and what they did not do (``expected_answer``), after ``seconds``; on a bus that is never quiet
+        after twice that.
         """
         start = time.monotonic()
-        repetition_time = start + seconds / 2 if actions else math.inf
+        repetition_time = start + seconds / 2
         deadline = start + seconds
         next_check = start + _SECONDS_BETWEEN_CHECKS
+        missing_robots = set(robots) - answers.keys()
         while missing_robots:
             now = time.monotonic()
-            if actions and now > repetition_time:
-                self._repeat_commands(actions, missing_robots)
+            if now > repetition_time:
                 repetition_time = math.inf
-                # However long sending took, robots have the second half of the time for the repetition.
-                deadline = time.monotonic() + seconds / 2
+                if self._last_actions:
+                    self._repeat_commands(missing_robots)
+                    # However long sending took, robots have the second half of the time for the repetition.
+                    deadline = time.monotonic() + seconds / 2
 
             # Wait for a frame, but not beyond what is due next: a check, the repetition or the end.
             seconds_to_next_event = max(0.0, min(repetition_time, deadline) - now)
-            frame = self._bus.recv(min(_SECONDS_BETWEEN_CHECKS, seconds_to_next_event))
+            frame = self._receive(min(_SECONDS_BETWEEN_CHECKS, seconds_to_next_event))
+            missing_robots.difference_update(answers)
             # On a bus that is never quiet frames come without end: then the time decides.
             if frame is None or now >= next_check:
                 self.check()
                 next_check = now + _SECONDS_BETWEEN_CHECKS
-            if frame is not None and frame.is_rx:  # some buses return the commands sent here
-                self._on_frame(frame)
-                self._store_answer(frame)
-                yield frame  # the caller may remove its sender from ``missing_robots``
 
             # While frames keep coming, those in the receive buffer still count: for as long once more.
             last_moment = deadline if frame is None else deadline + seconds
             if missing_robots and now > last_moment:
                 raise self._missing_error(missing_robots, expected_answer, seconds)
+        return {robot: answers[robot] for robot in robots}
 
-    def _repeat_commands(self, actions: Mapping[int, Action], missing_robots: Collection[int]) -> None:
-        """Send the missing robots the commands for their ``actions`` again, and count these commands.
+    def _repeat_commands(self, missing_robots: Collection[int]) -> None:
+        """Send the missing robots their last commands again, and count these commands.
 
         Raises can.CanError if the bus does not take them.
         """
-        late_actions = {robot: action for robot, action in actions.items() if robot in missing_robots}
+        late_actions = {
+            robot: action for robot, action in self._last_actions.items() if robot in missing_robots
+        }
         self.repeated += len(late_actions)
         self._send_commands(late_actions)
 
@@ -272,10 +253,21 @@ class Lockstep:
             "it there, in lockstep, with these ids and subjects?"
         )
 
-    def _store_answer(self, frame: can.Message) -> None:
-        """Store an estimate or telemetry by its sender, and ignore every other frame.
+    def _receive(self, seconds: float) -> can.Message | None:
+        """Wait for a frame, report and store it if another node has sent it, and return it in any case.
 
-        The first of a robot is kept until the next ``observe`` or ``settle``: a faulty robot that sends more
+        Returns None if none comes within ``seconds``.
+        """
+        frame = self._bus.recv(seconds)
+        if frame is not None and frame.is_rx:  # some buses return the commands sent here
+            self._on_frame(frame)
+            self._store_answer(frame)
+        return frame
+
+    def _store_answer(self, frame: can.Message) -> None:
+        """Store an estimate, telemetry or a heartbeat by its sender, and ignore every other frame.
+
+        The first of a robot is kept until the next wait of its kind begins: a faulty robot that sends more
         cannot change what has been read.
         """
         estimate = decode_estimate(frame, self._subjects.estimates)
@@ -285,3 +277,7 @@ class Lockstep:
         telemetry = decode_telemetry(frame, self._subjects.telemetry)
         if isinstance(telemetry, Telemetry):
             self._telemetry.setdefault(telemetry.sender, telemetry)
+            return
+        heartbeat = decode_heartbeat(frame)
+        if isinstance(heartbeat, Heartbeat):
+            self._heartbeats.setdefault(heartbeat.sender, heartbeat)

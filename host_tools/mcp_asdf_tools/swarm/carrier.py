@@ -21,12 +21,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress, groupby
+from itertools import groupby
 
 import can
 import numpy as np
+from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_frame
+from mcp_asdf_tools.bus.frames import Estimate, FrameContent, FrameFormat, decode_frame
 from mcp_asdf_tools.robots.bus_robot import BusRobot, estimate_rows
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker, send_all
@@ -267,10 +268,7 @@ class Carrier:
         robots_by_bus = [robots] if wiring.is_shared else [[robot] for robot in robots]
         try:
             for robots_of_bus in robots_by_bus:
-                any_robot = robots_of_bus[0]  # all of them have the same bus
-                on_unexpected = partial(self._count_foreign_frame, robots_of_bus)
-                bus = self._open_buses.enter_context(wiring.open_bus(any_robot))
-                carrier_connection = ExpectingConnection(bus, "the carrier", on_unexpected, on_frame)
+                carrier_connection = self._connect_carrier(robots_of_bus, wiring.open_bus, on_frame)
                 self.bus_connections |= dict.fromkeys(robots_of_bus, carrier_connection)
             for robot in robots:
                 if robot not in wiring.remote:
@@ -278,6 +276,18 @@ class Carrier:
         except BaseException:
             self.close()  # the buses that were opened before another could not be
             raise
+
+    def _connect_carrier(
+        self, robots: Sequence[int], open_bus: OpenBus, on_frame: FrameTaker
+    ) -> ExpectingConnection:
+        """Return the carrier's connection to the bus of ``robots``, which count other nodes' frames there.
+
+        ``on_frame`` is called with every frame that the carrier reads there.
+        """
+        any_robot = robots[0]  # all of them have the same bus
+        bus = self._open_buses.enter_context(open_bus(any_robot))
+        on_unexpected = partial(self._count_foreign_frame, robots)
+        return ExpectingConnection(bus, "the carrier", on_unexpected, on_frame)
 
     def _connect_robot(self, robot: int, open_bus: OpenBus) -> ExpectingConnection:
         """Return the connection of a robot in this process, which is the carrier's on a shared bus."""
@@ -359,12 +369,21 @@ class Carrier:
         is_estimate = np.array([isinstance(content, Estimate) for content in contents], np.bool_)
         estimates = estimate_rows(contents)
         receivers_of_estimates = deliveries.receivers[is_estimate]
-        # The others, such as heartbeats, are few.
-        others = [content for content in contents if not isinstance(content, Estimate)]
-        receivers_of_others = deliveries.receivers[~is_estimate]
         for robot in self._robots.values():
             robot.receive_all(estimates[receivers_of_estimates[:, robot.id]])
-            for content in compress(others, receivers_of_others[:, robot.id].tolist()):
+        # The others, such as heartbeats, are few, so that they are handed over one by one.
+        for content, is_receiver in zip(contents, deliveries.receivers, strict=True):
+            if not isinstance(content, Estimate):
+                self._count_content(content, is_receiver)
+
+    def _count_content(self, content: FrameContent, is_receiver: NDArray[np.bool_]) -> None:
+        """Let the receivers of a frame count its content.
+
+        Robot i is a receiver if entry i of ``is_receiver`` is true.
+        """
+        is_receiver_by_id = is_receiver.tolist()  # which takes less time than to index the array
+        for robot in self._robots.values():
+            if is_receiver_by_id[robot.id]:
                 robot.count_content(content)
 
     def _deliver_over_buses(self, deliveries: Deliveries, tick: int) -> None:

@@ -114,9 +114,7 @@ class DeliveryQueue:
         """
         self._frames_by_tick.append(sent_frames)
         arriving_frames = self._frames_by_tick.popleft()
-        senders = np.array([sent_frame.sender for sent_frame in arriving_frames], np.intp)
-        receivers_by_sender = self._current_neighbours().T  # row j: whether each robot receives from j
-        in_range = receivers_by_sender[senders]
+        in_range = self._robots_in_range(arriving_frames)
         self.in_range_count += int(np.count_nonzero(in_range))
         # Faults may delay frames: everything goes through the queue, also what arrives in this tick.
         for deliveries in self._apply_link_faults(arriving_frames, in_range):
@@ -126,6 +124,12 @@ class DeliveryQueue:
         arriving_now = _concatenate(self._pending.pop(tick, []), robot_count)
         self.delivered_count += int(np.count_nonzero(arriving_now.receivers))
         return arriving_now
+
+    def _robots_in_range(self, sent_frames: Sequence[SentFrame]) -> ReceiverMask:
+        """Return a mask that says which robots are at present in range of the sender of each frame."""
+        senders = np.array([sent_frame.sender for sent_frame in sent_frames], np.intp)
+        receivers_by_sender = self._current_neighbours().T  # row j: whether each robot receives from j
+        return receivers_by_sender[senders]
 
 
 def _concatenate(all_deliveries: Sequence[Deliveries], robot_count: int) -> Deliveries:
