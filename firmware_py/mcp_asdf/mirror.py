@@ -191,7 +191,8 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> int:
     2**(30 + 2 g_shift), and ``rare`` is (g / c)**2, times 2**(30 + 2 g_shift - rare_shift).
     """
     common_term = (t - rare_count) * accuracy.common
-    exponent = 24 - 30 - 2 * accuracy.g_shift  # 24, because alpha has the unit 2**-24
+    # The exponent takes back the factor of ``common``, and adds the 24 bits of alpha behind the point.
+    exponent = 24 - (30 + 2 * accuracy.g_shift)
     if rare_count == 0:
         return times_power_of_two(common_term, exponent)
     # The common term has rare_shift bits more behind the point than the rare one, and loses them.
