@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Status
+from mcp_asdf.reference import ReferenceRobot
+from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Robot, Status
 from mcp_asdf.robust_filter import RobustFilter, centre_after_huber_step, is_supported
 from robots import (
     ALPHA_MIN,
@@ -178,7 +179,15 @@ def test_a_round_has_one_vote_however_many_neighbours_were_received(firmware: Fi
     assert vote_count == 1
 
 
-def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
+def turn_of(robot: Robot) -> int:
+    """Return the slot of the next vote, which is 0 after the robot's own vote."""
+    if isinstance(robot, ReferenceRobot):
+        return robot._robust.turn
+    assert isinstance(robot, FixedPoint)
+    return filter_memory(robot)["turn"]
+
+
+def voters_of_rounds(robot: Robot, rounds: int) -> list[int | str]:
     """Let so many rounds end, and return the voter of every round: the number of a slot, or "own estimate".
 
     After the vote of slot i it is the turn of slot i + 1, and after the robot's own vote that of slot 0.
@@ -186,12 +195,12 @@ def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
     voters: list[int | str] = []
     for _ in range(rounds):
         robot.settle()
-        turn = filter_memory(robot)["turn"]
+        turn = turn_of(robot)
         voters.append("own estimate" if turn == 0 else turn - 1)
     return voters
 
 
-@for_fixed_point_firmwares
+@for_every_firmware
 @pytest.mark.parametrize(
     ("senders", "black_tiles", "expected_voters"),
     [
@@ -201,13 +210,13 @@ def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
     ],
 )
 def test_neighbours_vote_in_ascending_order_and_the_robot_itself_after_them(
-    firmware: FixedPointFirmware, senders: list[int], black_tiles: int, expected_voters: list[int | str]
+    firmware: Firmware, senders: list[int], black_tiles: int, expected_voters: list[int | str]
 ) -> None:
     """Each round has one vote. Neighbours are named by their slots, here 6, 9 and 31 as their ids.
 
     The robot itself votes only if it has observed a tile.
     """
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1000)
+    robot = make_robot(firmware, replace(ROBUST, filter_period=1000), b_hat=0.95)
     observe_tiles(robot, black_tiles, white=0)
     for sender in senders:
         robot.receive(sender, x_hat=0.5, alpha=1.0)

@@ -50,32 +50,6 @@ def test_votes_in_float64_are_right_to_the_last_bits() -> None:
         assert abs(Fraction(after.spread) - exact_after.spread) <= ROUNDING, (before, vote)
 
 
-def test_neighbours_vote_in_the_order_of_their_slots_and_the_robot_itself_after_them() -> None:
-    """Slots 9 and 2 have estimates. After the vote of slot i the turn is i + 1, after the robot's own 0."""
-    robust = RobustReference(initial_b_hat=0.75, estimates={9: 1.0, 2: 0.0})
-
-    turns = []
-    for _ in range(4):
-        robust.take_vote(own_x_hat=0.5, has_confidence=True)
-        turns.append(robust.turn)
-
-    after_slot_2, after_slot_9, after_the_robot = 3, 10, 0
-    assert turns == [after_slot_2, after_slot_9, after_the_robot, after_slot_2]
-
-
-def test_a_robot_without_confidence_does_not_vote() -> None:
-    """Slot 9 has voted, so the robot would be next. Slot 2 votes instead: 0.0, below the centre, 0.5.
-
-    So the centre moves down, by an eighth of the spread, 0.25.
-    """
-    robust = RobustReference(initial_b_hat=0.75, estimates={9: 1.0, 2: 0.0}, turn=10)
-
-    robust.take_vote(own_x_hat=0.5, has_confidence=False)
-
-    assert robust.votes.centre == 0.5 - 0.25 / 8
-    assert robust.turn == 3
-
-
 # --- Dispersion ------------------------------------------------------------------------------------------
 
 
