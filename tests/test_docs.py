@@ -388,18 +388,6 @@ def test_the_readme_shows_what_its_first_command_prints_as_the_page_on_swarms_do
     assert line in SWARM_PAGE.read_text(encoding="utf-8").splitlines()
 
 
-def test_the_first_command_of_the_readme_compares_the_swarm_of_the_page_on_swarms() -> None:
-    """It is ``make swarm``. The two commands differ in the filter that is described at length, and --quiet.
-
-    Neither changes the last line: it compares the same three filters.
-    """
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    [command] = re.findall(r"^\t@\$\(BIN\)/(mcp-asdf swarm .*)$", makefile, re.MULTILINE)
-    [command_of_page] = block_with(SWARM_PAGE, "--compare", "sh").splitlines()
-
-    assert {*command.split()} - {"asdf-minus"} == {*command_of_page.split()} - {"robust", "--quiet"}
-
-
 def test_the_output_in_the_readme_is_what_the_paper_s_equation_gives() -> None:
     """n of t tiles seem black, 2 of 3, and a sensor with the accuracy b is right in 95 of 100 cases.
 

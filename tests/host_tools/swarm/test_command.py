@@ -28,7 +28,7 @@ from mcp_asdf_tools.swarm.run import SwarmRun
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.summary import comparison, one_line, summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
-from support import interruptible
+from support import ROOT, block_with, interruptible
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -552,3 +552,15 @@ def test_a_comparison_says_that_a_connected_swarm_with_underconfident_robots_nee
     }
     sentences = comparison(results_by_filter, settings)
     assert ("This swarm needs no filter" in sentences) == needs_no_filter
+
+
+@pytest.mark.slow
+def test_the_first_command_of_the_readme_ends_as_it_shows(capsys: Capture) -> None:
+    """The command is ``make swarm``. Its options come from the Makefile. Its last line is compared."""
+    makefile = (ROOT / "Makefile").read_text()
+    rule = re.search(r"^\t@\$\(BIN\)/mcp-asdf (?P<arguments>swarm .*)$", makefile, re.MULTILINE)
+    assert rule is not None
+    assert main(rule["arguments"].split()) == 0
+    *_, last_line = capsys.readouterr().out.splitlines()
+    shown_output = block_with(ROOT / "README.md", "Mean error", "text")
+    assert f"{last_line}\n" == shown_output
