@@ -348,6 +348,7 @@ def test_settings_of_a_world_that_contradict_each_other_are_refused(
     [
         {"robots": 128},
         {"robots": 129, "topology": "graph", "graph": "0 128"},
+        {"drift": "linear", "drift_rate": -1e-3, "true_accuracy": 0.6, "lowest_accuracy": 0.6},
         {"robots": 129, "topology": "dynamic", "radio_range": 1.42},
         {**MOVING_ROBOTS, "density": 1, "width": 0.593, "height": 0.593},
         {**MOVING_ROBOTS, "density": 1, "width": 1000.0, "height": 1000.0},
@@ -605,14 +606,6 @@ def test_a_linear_drift_ends_at_the_lowest_accuracy() -> None:
 
     expected_accuracies = [max(0.9 - step * 1e-3, 0.6) for step in range(1000)]
     assert accuracies[:, 0] == pytest.approx(expected_accuracies)
-
-
-def test_a_drift_that_starts_at_the_lowest_accuracy_stays_there() -> None:
-    """The accuracy is 0.6 in all steps of all robots, though it would lose a thousandth in each step."""
-    settings = WorldSettings(
-        steps=1000, drift="linear", true_accuracy=0.6, drift_rate=-1e-3, lowest_accuracy=0.6
-    )
-    assert np.all(accuracies_by_step_and_robot(settings) == 0.6)
 
 
 @pytest.mark.parametrize(
