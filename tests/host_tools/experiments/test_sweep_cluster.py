@@ -55,15 +55,15 @@ def cluster_of(workers: int, folder: Path) -> Iterator[tuple[str, IO[str]]]:
             process.stdin.close()
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def skip_without_distributed() -> None:
     pytest.importorskip("distributed", reason="distributed is not installed: make setup")
 
 
-@pytest.fixture
-def scheduler(tmp_path: Path) -> Iterator[str]:
-    """The address of a scheduler that has one worker process."""
-    with cluster_of(workers=1, folder=tmp_path) as (address, _):
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler that has one worker process; it outlives the tests that use it."""
+    with cluster_of(workers=1, folder=tmp_path_factory.mktemp("cluster")) as (address, _):
         yield address
 
 
