@@ -117,7 +117,7 @@ class ExpectingConnection:
         them. Frames that are neither expected nor overdue are reported as unexpected.
 
         Args:
-            expected: The frames to wait for, one at least.
+            expected: The frames to wait for; none to read only what has arrived, with a timeout of 0.
             timeout: Seconds to wait; None if no frame may be missing.
 
         Raises:
@@ -392,11 +392,14 @@ class Carrier:
             frames = deliveries.frames_for(robot_id)
             carrier_connection = self.bus_connections[robot_id]
             robot_connection = self._robot_connections.get(robot_id)
-            if robot_connection is not None:
-                frames = self._pass_over_bus(frames, carrier_connection, robot_connection, tick)
-            else:
+            if robot_connection is None:
                 # A remote robot reads for itself: its counterpart in this process gets what was sent.
                 send_all(carrier_connection.bus, [sent_frame.frame for sent_frame in frames], FRAME_TIMEOUT)
+            elif frames:
+                frames = self._pass_over_bus(frames, carrier_connection, robot_connection, tick)
+            else:
+                # Echoes of what the robot has sent must not fill its receive buffer while it hears nobody.
+                frames = robot_connection.receive_expected([], timeout=0)
             robot.receive_frames([sent_frame.frame for sent_frame in frames])
 
     @property

@@ -113,6 +113,7 @@ class DeliveryQueue:
         O(faults frames robots).
         """
         self._frames_by_tick.append(sent_frames)
+        # Without latency these are the frames of this tick.
         arriving_frames = self._frames_by_tick.popleft()
         in_range = self._robots_in_range(arriving_frames)
         self.in_range_count += int(np.count_nonzero(in_range))

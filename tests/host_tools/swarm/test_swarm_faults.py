@@ -398,6 +398,19 @@ def test_a_run_in_real_time_reports_how_late_ticks_have_begun(run_with_a_late_ti
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
 
 
+def test_a_robot_that_has_heard_nobody_for_long_receives_the_next_frame(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Robot 0 sends 103 frames in its multicast group before the first frame reaches it.
+
+    The group returns them to its socket, which has room for some 20 frames in this test.
+    """
+    monkeypatch.setattr("mcp_asdf_tools.bus.interfaces._RECEIVE_BUFFER_BYTES", 8192)
+    settings = small_swarm("loss,receivers=0,to=93", robots=2, flawed=0, steps=95)
+    run, _frames = run_and_record(settings, WIRINGS["a group for each"])
+    assert run.nodes[0].reception.delivered == 2
+
+
 @pytest.mark.parametrize(
     "wiring",
     [WIRINGS["one bus"], WIRINGS["a group for each"], *slow([WIRINGS["one group"]])],
