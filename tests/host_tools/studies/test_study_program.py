@@ -248,7 +248,8 @@ def test_the_quick_form_of_a_program_measures_something_in_all_its_experiments(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A measure without results would be "nan" in a table. The program draws its picture, too."""
-    # Trials are even shorter than those of the quick form.
+    # Trials are even fewer and shorter than those of the quick form.
+    monkeypatch.setattr(study_program, "QUICK_TRIALS", 1)
     monkeypatch.setattr(study_program, "QUICK_STEPS", 1000)
     monkeypatch.setattr("sys.argv", ["study", str(tmp_path), "--quick", "--workers", "2"])
 
