@@ -251,7 +251,7 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
 
 
 def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tuple[int, int]:
-    """Return the estimated share of the colour that was observed less often, and its confidence.
+    """Return the estimated share of the colour that was observed less often, and its confidence (eq. 3, 4).
 
     The share is in units of 2**-23, and the confidence in units of 2**-24. ``rare_count`` of ``t`` > 0
     observations are of this colour, a share p of at most 1/2. The sensor is taken for one that is right more
@@ -259,20 +259,22 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     estimate is
 
         (p - c) / g     or 0 if p <= c
+
+    The confidence is that of `confidence_at_end` if the estimate is 0, and of `confidence_inside` otherwise.
     """
     # Both counts are shifted up until t fills 32 bits, so that products keep their upper bits.
     count_shift = leading_zeros(t)
     total = t << count_shift
     rarer = rare_count << count_shift  # p total
-    # On a floor without the rarer colour so many observations would show it, by errors of the sensor.
+    # This often the sensor's errors alone would show the rarer colour, on a floor without it.
     errors = multiply_high(accuracy.c, total)  # c total
     if rarer <= errors:
-        # The rarer colour has not come more often than errors explain.
+        # Errors explain all observations of the rarer colour.
         return 0, confidence_at_end(accuracy, t, rare_count)
-    # The fraction is expanded by ``total``. Where g is small, both sides are shifted up as far as g can be.
+    # Both sides of the fraction are multiplied by ``total``, and shifted up, since g may be small.
     shifted_excess = (rarer - errors) << accuracy.g_shift  # (p - c) total
     g_total = (total - 2 * errors) << accuracy.g_shift  # g total, as g is 1 - 2 c: 31 or 32 bits
-    # divide_24 takes a divisor of at most 31 bits. With half of it, the quotient is twice the estimate.
+    # divide_24 takes a divisor of at most 31 bits. With half of the divisor, the quotient is twice as large.
     twice_the_estimate = divide_24(shifted_excess, g_total >> 1)  # in units of 2**-24
     x_hat = twice_the_estimate >> 2  # by 1 to undo the doubling, and by 1 for units of 2**-23
     return x_hat, confidence_inside(accuracy, total, rarer, g_total, count_shift)

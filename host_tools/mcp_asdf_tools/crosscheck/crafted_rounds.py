@@ -504,10 +504,10 @@ def _margin_of_large_scatter(robot: RobotState, count_of_ones: int) -> float:
     assert robot.table is not None
     m = _ESTIMATES_OF_LARGE_ROUND
     threshold: float = robot.table.entry(m) / 2**FRACTION_BITS
-    # In units of ONE**2, that is 2**46, the scatter of 0 and 1 is this product. Its bits from 2**56 on are
-    # those from 2**10 on in these units.
+    # m Sum x**2 - (Sum x)**2, where each x is 0 or 1. Its unit is ONE**2, that is 2**46, so that its bits
+    # from 2**56 on are those from 2**10 on here.
     scatter = count_of_ones * (m - count_of_ones)
-    # Where these two would be 0, nothing could be divided by them: there they are 1.
+    # At least 1, as the margins are divided by these two.
     scatter_without_bits = max(scatter % (1 << 10), 1)
     difference_squared = max((count_of_ones - m * robot.x_hat / ONE) ** 2, 1)
     # The test rejects if the squared difference is above threshold * scatter.

@@ -271,8 +271,11 @@ class ScenarioWriter:
         self._add_restore(numbers)
 
     def _all_other_senders(self) -> dict[str, int]:
-        """Return numbers of an image, by name, by which the robot has heard all others in the open round."""
-        # The senders are a mask with a bit for each id, of which each number has 32.
+        """Return the numbers of an image, by name, that say which senders the robot has heard in the open round.
+
+        By these it has heard all but itself.
+        """
+        # There is a bit for each id from 0 to 127, in four numbers of 32 bits.
         masks = {f"heard_{index}": MAX_32_BITS for index in range(4)}
         robot_id = self._setup.robot_id
         masks[f"heard_{robot_id // 32}"] ^= 1 << (robot_id % 32)
