@@ -271,7 +271,7 @@ class ScenarioWriter:
         self._add_restore(numbers)
 
     def _all_other_senders(self) -> dict[str, int]:
-        """Return the numbers of an image, by name, that say which senders the robot has heard in the open round.
+        """Return numbers of an image by name: those of the senders that were heard in the open round.
 
         By these it has heard all but itself.
         """
