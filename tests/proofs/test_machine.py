@@ -64,7 +64,7 @@ BODIES = {
     "a shorter type keeps the lower bits": "const uint8_t sum = (uint8_t)(a + b); return sum;",
     "a negative number becomes a large one beside an unsigned one": "return (int32_t)a < 7U;",
     "a hexadecimal number that fits no int is unsigned": "return (int32_t)a < 0x80000000;",
-    "a choice has the type of both its operands": "return (a > 7U ? -1 : b) > 7U;",
+    "a choice has the type of both its operands": "return (uint32_t)((uint64_t)(a > 7U ? -1 : b) >> 32);",
     "a truth value is 1 for every number but 0": "const _Bool is_set = (_Bool)a; return is_set;",
     "an unknown element is written": (
         "uint32_t words[2]; words[0] = a; words[1] = b; words[b & 1U] = 0; return words[0];"
@@ -74,6 +74,7 @@ BODIES = {
     "a loop has no turn, or some": (
         "while (a > 3U) { /* at most 3 turns */ a = a > 5U ? 5U : a - 1U; } return a;"
     ),
+    "an operand that is not chosen is not evaluated": "return b != 0U ? a / b : 7U;",
     "the right operand counts if the left one is true": "return b != 0U && a / b > 1U;",
     "the right operand counts if the left one is false": "return b == 0U || a / b > 1U;",
     "the members of a union share their bits": (
