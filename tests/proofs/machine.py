@@ -351,20 +351,10 @@ class Machine:
         return self.evaluate(node).term != 0
 
     def _evaluate_logical(self, node: Any) -> Any:
-        """Return the formula of an && or ||.
-
-        The right operand is evaluated only where the left one does not settle the result.
-        """
-        left_condition = self.evaluate_condition(node.left)
-        needs_right = left_condition if node.op == "&&" else z3.Not(left_condition)
-        if _has_effects(node.right):
-            if self.holds(needs_right):
-                return self.evaluate_condition(node.right)
-            return left_condition
-        with self._supposing(needs_right):
-            right_condition = self.evaluate_condition(node.right)
-        combine = z3.And if node.op == "&&" else z3.Or
-        return combine(left_condition, right_condition)
+        """Return the formula of an && or ||. The right operand counts where the left one leaves it open."""
+        is_left_true = self.holds(self.evaluate_condition(node.left))
+        is_settled = is_left_true == (node.op == "||")
+        return z3.BoolVal(is_left_true) if is_settled else self.evaluate_condition(node.right)
 
     def _evaluate_constant(self, node: Any) -> Number:
         """Return a literal number, whose type is the first of C's list that holds its value."""
@@ -451,7 +441,7 @@ class Machine:
         arguments = [self.evaluate(argument) for argument in node.args.exprs]
         name = node.name.name
         if name == "__builtin_clz":
-            return self.count_leading_zeros(arguments[0])
+            return self._count_leading_zeros(arguments[0])
         parameters = self.program.parameters(name)
         pairs = zip(arguments, parameters, strict=True)
         converted_arguments = [self._convert_argument(argument, parameter) for argument, parameter in pairs]
@@ -464,7 +454,7 @@ class Machine:
             return Pointer(argument, 0)
         return self._convert(argument, type_)
 
-    def count_leading_zeros(self, number: Number) -> Number:
+    def _count_leading_zeros(self, number: Number) -> Number:
         """Return what __builtin_clz() of gcc and clang does. It is undefined for 0."""
         self.require(number.term != 0, "leading zeros of 0")
         count = z3.BitVecVal(31, self.int_type.bits)

@@ -157,10 +157,10 @@ def stand_in(
         # The contract speaks of arguments as they were before the call, which may change their targets.
         terms = [terms_of(argument) for argument in arguments]
         machine.require(requires(*terms), f"what {name} requires")
-        places = [Pointer(machine.load(arguments[0]), member) for member in changed_members]
-        if not changed_members:
-            parameters = machine.program.parameters(name)
-            places = [place for pair in zip(parameters, arguments, strict=True) for place in _written(*pair)]
+        if changed_members:
+            places = [Pointer(machine.load(arguments[0]), member) for member in changed_members]
+        else:
+            places = _writable_places(machine.program.parameters(name), arguments)
         for place in places:
             machine.store(place, _results_like(machine.load(place), f"{name} {place.key}", terms))
         result = machine.fresh_value(machine.program.signatures[name].type, name)
@@ -172,13 +172,18 @@ def stand_in(
     return call
 
 
-def _written(parameter: Any, argument: Any) -> list[Pointer]:
-    """Return pointers to what a function may write through an argument: nothing if it points to constants."""
-    if not isinstance(argument, Pointer) or "const" in parameter.type.type.quals:
-        return []
-    # A pointer to the first element stands for the array.
-    keys = list(argument.container) if argument.key == 0 else [argument.key]
-    return [Pointer(argument.container, key) for key in keys]
+def _writable_places(parameters: list[Any], arguments: Iterable[Any]) -> list[Pointer]:
+    """Return pointers to all that a function may write through its arguments.
+
+    There is nothing to be written through a pointer to constants.
+    """
+    places = []
+    for parameter, argument in zip(parameters, arguments, strict=True):
+        if isinstance(argument, Pointer) and "const" not in parameter.type.type.quals:
+            # A pointer to the first element stands for the array.
+            keys = list(argument.container) if argument.key == 0 else [argument.key]
+            places += [Pointer(argument.container, key) for key in keys]
+    return places
 
 
 def _results_like(value: Any, name: str, arguments: list[Any]) -> Any:

@@ -90,20 +90,27 @@ def test_a_function_of_unknown_numbers_means_what_a_compiler_makes_of_it(body: s
 
     Each pair of edges meets the conditions of one path, whose result is then that of the compiled function.
     """
-    unknown_words = [Number(z3.BitVec(name, 32), WORD) for name in "ab"]
-    paths = results_on_paths(parse_function(tmp_path, body), "f", *unknown_words)
+    words = [Number(z3.BitVec(name, 32), WORD) for name in "ab"]
+    paths = results_on_paths(parse_function(tmp_path, body), "f", *words)
     library = compile_library(tmp_path, function_text(body))
+    library.f.restype = ctypes.c_uint32
 
     for a, b in product(EDGES, repeat=2):
-        values = [
-            (word.term, z3.BitVecVal(value, 32)) for word, value in zip(unknown_words, (a, b), strict=True)
-        ]
-        (result,) = [
-            z3.simplify(z3.substitute(result, *values))
-            for condition, result in paths
-            if z3.is_true(z3.simplify(z3.substitute(condition, *values)))
-        ]
-        assert result.as_signed_long() == library.f(ctypes.c_uint32(a), ctypes.c_uint32(b)), (a, b)
+        values = [(words[0].term, z3.BitVecVal(a, 32)), (words[1].term, z3.BitVecVal(b, 32))]
+        assert result_for(values, paths) == library.f(ctypes.c_uint32(a), ctypes.c_uint32(b)), (a, b)
+
+
+def result_for(values: list[tuple[Any, Any]], paths: list[tuple[Any, Any]]) -> int:
+    """Return the result on the one path whose conditions some values meet, each of an unknown word.
+
+    ``paths`` has a condition and a result for each path.
+    """
+    (result,) = [
+        z3.simplify(z3.substitute(result, *values))
+        for condition, result in paths
+        if z3.is_true(z3.simplify(z3.substitute(condition, *values)))
+    ]
+    return int(result.as_long())
 
 
 UNDEFINED_BODIES = {
@@ -151,18 +158,13 @@ def test_the_arithmetic_means_what_a_compiler_makes_of_it(variant: Variant, tmp_
     code, rng = program(variant), random.Random(str(variant))
     types_by_function = functions_of_numbers(code)
     assert len(types_by_function) > 10
-    calling_functions = [calling_function(code, name) for name in types_by_function]
-    source_text = "\n".join(['#include "mcp_asdf_arithmetic.h"', *calling_functions])
-    library = compile_library(tmp_path, source_text, f"-I{HEADER.parent}", *variant.flags())
+    library = compile_arithmetic(code, list(types_by_function), tmp_path)
 
     for name, types in 12 * list(types_by_function.items()):
         arguments = [draw_argument(parameter, type_, rng) for parameter, type_ in types.items()]
-        numbers = map(constant, arguments, types.values())
-        ((_condition, result),) = results_on_paths(code, name, *numbers)
-        compiled_function = library[f"call_{name}"]
-        compiled_function.restype = ctypes.c_uint64
-        compiled_result = compiled_function(*map(ctypes.c_uint64, arguments))
-        assert z3.simplify(result).as_long() == compiled_result, f"{name}{tuple(arguments)}, {variant}"
+        paths = results_on_paths(code, name, *map(constant, arguments, types.values()))
+        compiled_result = getattr(library, f"call_{name}")(*map(ctypes.c_uint64, arguments))
+        assert result_for([], paths) == compiled_result, f"{name}{tuple(arguments)}, {variant}"
 
 
 def functions_of_numbers(code: Program) -> dict[str, dict[str, IntegerType]]:
@@ -193,13 +195,21 @@ def draw_argument(name: str, type_: IntegerType, rng: random.Random) -> int:
     return rng.getrandbits(rng.randint(1, type_.bits))
 
 
-def calling_function(code: Program, name: str) -> str:
-    """Return the text of a C function that calls a function of this name; it takes and returns long words."""
-    parameters = [parameter.name for parameter in code.parameters(name)]
-    declarations = ", ".join(f"uint64_t {parameter}" for parameter in parameters)
-    result = f"{name}({', '.join(parameters)})"
-    if "word_pair_t" in code.functions[name].decl.type.type.type.names:
-        body = f"const word_pair_t pair = {result}; return join(pair.high, pair.low);"
-    else:
+def compile_arithmetic(code: Program, names: list[str], folder: Path) -> ctypes.CDLL:
+    """Compile functions of a variant into a library, in a folder.
+
+    There they take and return long words, and have names that begin with "call_".
+    """
+    lines = ['#include "mcp_asdf_arithmetic.h"']
+    for name in names:
+        parameters = [parameter.name for parameter in code.parameters(name)]
+        declarations = ", ".join(f"uint64_t {parameter}" for parameter in parameters)
+        result = f"{name}({', '.join(parameters)})"
         body = f"return {result};"
-    return f"uint64_t call_{name}({declarations}) {{ {body} }}"
+        if "word_pair_t" in code.functions[name].decl.type.type.type.names:
+            body = f"const word_pair_t pair = {result}; return join(pair.high, pair.low);"
+        lines.append(f"uint64_t call_{name}({declarations}) {{ {body} }}")
+    library = compile_library(folder, "\n".join(lines), f"-I{HEADER.parent}", *code.variant.flags())
+    for name in names:
+        getattr(library, f"call_{name}").restype = ctypes.c_uint64
+    return library
