@@ -12,11 +12,10 @@ from pathlib import Path
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import Symbol, SymbolTableSection
 
+from support import ROOT, TABLE
+
 HERE = Path(__file__).parent
-ROOT = HERE.parents[2]
-FIRMWARE = ROOT / "c_ref" / "src"
-PORTS = ROOT / "c_ref" / "ports"
-TABLE = ROOT / "tables" / "t_table_omega05_q30.c"
+FIRMWARE, PORTS = ROOT / "c_ref/src", ROOT / "c_ref/ports"
 
 CLONE = re.compile(r"\.(constprop|part|isra|cold)(\.\d+)?")
 """What a compiler adds to the name of a function that it has changed."""

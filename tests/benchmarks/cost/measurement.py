@@ -9,8 +9,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from mcp_asdf import Filter
+from support import TABLE
 
-from .images import AVR, FIRMWARE, HERE, TABLE, Image, Target, build, kilobot_image
+from .images import AVR, FIRMWARE, HERE, Image, Target, build, kilobot_image
 from .machines import load
 from .paths import Paths
 from .robots import UPDATED, ObservedCall, Robot

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from .images import AVR, ROOT, TARGETS
+from support import ROOT
+
+from .images import AVR, TARGETS
 from .measurement import BOTH, Build, Figures
 from .robots import UPDATED
 
