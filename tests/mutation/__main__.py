@@ -27,7 +27,9 @@ def main() -> None:
     mistakes = [
         mutant for file in args.file for mutant in mutants(file.resolve()) if mutant.name not in equivalents()
     ]
-    tried_mutants = mistakes if args.sample is None else random.sample(mistakes, args.sample)
+    tried_mutants = (
+        mistakes if args.sample is None else random.sample(mistakes, min(args.sample, len(mistakes)))
+    )
     survivor_count = 0
     for mutant in tried_mutants:
         killers = python_killers if mutant.path.suffix == ".py" else c_killers

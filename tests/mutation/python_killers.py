@@ -41,15 +41,19 @@ def is_noticed(path: Path, source: str) -> bool:
     return done.returncode != pytest.ExitCode.OK
 
 
-def _tests_of(path: Path) -> tuple[str, ...]:
-    """Return the folders or the file with the tests of a Python file's package.
+def _tests_of(path: Path) -> list[str]:
+    """Return the folders and files with the tests of a Python file's package.
 
-    The firmware has its own tests and those of the cross-check.
+    The firmware has its own tests and those of the cross-check. What all packages have in common is tested by
+    the commands, too, and by the files beside the packages' folders.
     """
     top_folder, _, package, *_ = path.relative_to(ROOT).parts
     if top_folder == "firmware_py":
-        return "tests/firmware_py", "tests/host_tools/crosscheck"
-    return (f"tests/host_tools/test_{package}" if package.endswith(".py") else f"tests/host_tools/{package}",)
+        return ["tests/firmware_py", "tests/host_tools/crosscheck"]
+    tests = ROOT / "tests/host_tools"
+    if package == "common":
+        return [str(folder) for folder in (tests / "common", tests / "cli", *tests.glob("test_*.py"))]
+    return [str(tests / (f"test_{package}" if package.endswith(".py") else package))]
 
 
 # --- The plugin ------------------------------------------------------------------------------------------
