@@ -21,6 +21,8 @@ MUTATED_FILE, MUTANT_SOURCE = "MCP_ASDF_MUTATED_FILE", "MCP_ASDF_MUTANT"
 """Variables of the environment with the file that is imported with other text, and with that text."""
 TIMEOUT = 120
 """Seconds after which a test fails because it hangs. A quick test takes ten at most."""
+SLOW_PACKAGES = ("crosscheck", "experiments", "studies", "swarm")
+"""Packages of the tools whose tests take longest."""
 
 
 def is_noticed(path: Path, source: str) -> bool:
@@ -44,15 +46,16 @@ def is_noticed(path: Path, source: str) -> bool:
 def _tests_of(path: Path) -> list[str]:
     """Return the folders and files with the tests of a Python file's package.
 
-    The firmware has its own tests and those of the cross-check. What all packages have in common is tested by
-    the commands, too, and by the files beside the packages' folders.
+    The firmware has its own tests and those of the cross-check. The packages cli and common are used
+    everywhere, so they have all tests of the tools but the slowest.
     """
     top_folder, _, package, *_ = path.relative_to(ROOT).parts
     if top_folder == "firmware_py":
         return ["tests/firmware_py", "tests/host_tools/crosscheck"]
     tests = ROOT / "tests/host_tools"
-    if package == "common":
-        return [str(folder) for folder in (tests / "common", tests / "cli", *tests.glob("test_*.py"))]
+    if package in ("cli", "common"):
+        ignored_options = [f"--ignore={tests / slow_package}" for slow_package in SLOW_PACKAGES]
+        return [*ignored_options, str(tests)]
     return [str(tests / (f"test_{package}" if package.endswith(".py") else package))]
 
 
