@@ -43,6 +43,10 @@ _MAX_READS_AFTER_DEADLINE = 4096
 """Frames that are read after a deadline. They arrived in time, and waited in the receive buffer only because
 this process was slow; but a flood that keeps filling the buffer must not hold up the swarm."""
 
+_MAX_OVERDUE_FRAMES = 4096
+"""Missed frames that may still arrive. On a bus that loses frames for days, older ones must not fill the
+memory; a frame that comes after so many others have been lost is reported as unexpected."""
+
 _MAX_FRAMES_IN_ERROR = 8
 """Missing frames that an error names."""
 
@@ -106,7 +110,7 @@ class ExpectingConnection:
         self._on_unexpected = on_unexpected
         self._on_frame = on_frame
         self._overdue: list[SentFrame] = []
-        """Frames that earlier calls have missed. They may still arrive."""
+        """The last _MAX_OVERDUE_FRAMES frames that earlier calls have missed. They may still arrive."""
 
     def receive_expected(self, expected: Sequence[SentFrame], timeout: float | None) -> list[SentFrame]:
         """Read until all expected frames have arrived, and return them as they were received.
@@ -142,7 +146,7 @@ class ExpectingConnection:
 
         late, still_overdue = _split_by_arrival(self._overdue, arrived)
         received, missing = _split_by_arrival(expected, arrived)
-        self._overdue = [*still_overdue, *missing]
+        self._overdue = [*still_overdue, *missing][-_MAX_OVERDUE_FRAMES:]
         self.missed_count += len(missing)
         # In lockstep every frame has to arrive, since the run could not be repeated otherwise.
         if missing and timeout is None:
