@@ -231,9 +231,11 @@ class Swarm:
         does not answer, and can.CanError if the bus does not take a frame. O(robots**2).
         """
         sent_frames = [*self._sent_frames, *self._frames_of_external_robot(external_frames)]
+        # The frames go over the buses of their senders, if there are any, and are read back from them.
         frames_on_buses = self._carrier.send(sent_frames, self.ticks)
+        # The queue says who receives which frame in this tick. Latency and faults keep some for later ticks.
         deliveries = self._delivery_queue.deliver(self.ticks, frames_on_buses)
-        self._carrier.deliver(deliveries, self.ticks)
+        self._carrier.deliver(deliveries, self.ticks)  # robots that have a bus each receive over theirs
         self._settle()
         self.ticks += 1
         self._count_traffic()
