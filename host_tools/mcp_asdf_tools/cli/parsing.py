@@ -35,6 +35,7 @@ class Parser(argparse.ArgumentParser):
             formatter_class=_HelpFormatter,
             allow_abbrev=False,
         )
+        self._typed_options: set[str] = set()
 
     def parse_all(self, typed_arguments: Sequence[str]) -> argparse.Namespace:
         """Parse what the user typed behind the command's name, and return the values of all options.
@@ -44,23 +45,24 @@ class Parser(argparse.ArgumentParser):
         ``--seed``. Raises UsageError, with the nearest option's name, for an argument that belongs to no
         option.
         """
+        self._typed_options.clear()  # of what was parsed before
         args, unknown_arguments = self.parse_known_args(typed_arguments)
         if unknown_arguments:
             self._refuse_unknown(unknown_arguments)
         args.command_line = [self.prog, *typed_arguments]
-        args.typed_options = self._options_among(typed_arguments)
+        args.typed_options = {*self._typed_options}
         return args
 
-    def _options_among(self, typed_arguments: Sequence[str]) -> set[str]:
-        """Return the options among what the user typed, by their long names: ``--channel`` for ``-c``."""
-        long_names = set()
-        for argument in typed_arguments:
-            # The value may follow at once, as in --seed=3, or behind the letter of a short option: -ccan0.
-            option_name = argument.partition("=")[0] if argument.startswith("--") else argument[:2]
-            action = self._option_string_actions.get(option_name)
-            if action is not None:
-                long_names.add(action.option_strings[-1])
-        return long_names
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        """Return the value of an argument from what was typed for it, and note it if it is an option.
+
+        argparse calls this once for every option that it finds, whether it is typed as ``-c can0``,
+        ``-ccan0`` or ``--channel=can0``. So argparse alone decides what is an option and what a value.
+        """
+        if action.option_strings:
+            long_name = action.option_strings[-1]  # the short one is declared first
+            self._typed_options.add(long_name)
+        return super()._get_values(action, arg_strings)
 
     def _refuse_unknown(self, unknown_arguments: Sequence[str]) -> NoReturn:
         """Raise UsageError for the first unknown option or, if there is none, the first unknown argument.

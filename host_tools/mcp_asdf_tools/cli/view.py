@@ -32,6 +32,7 @@ exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
 LIBRARIES = ("numpy", "can")
 
 _NO_TELEMETRY = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --telemetry-period 1"
+_OPTIONS_OF_RECORDINGS = ("--export", "--where", "--trial")
 _OPTIONS_OF_A_BUS = ("--interface", "--bitrate", "--bus-kwargs")
 _OPTIONS_OF_FRAMES = ("--fill-ratio", "--true-accuracy", "--subject", "--channel")
 """Options that say what the frames of a bus mean, or of a log that has no events beside it."""
@@ -143,7 +144,7 @@ def _read_recording(args: argparse.Namespace) -> History:
         if trials.source:
             return recorded_trial_history(trials, args.trial)
         return recompute_trial_history(trials, args.trial)
-    if args.trial or args.where:
+    if args.typed_options & {"--trial", "--where"}:
         raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
     if not args.file.exists():
         raise UsageError(f"there is no log {args.file}; give one that swarm --log wrote")
@@ -262,9 +263,7 @@ def _bus_to_show(args: argparse.Namespace) -> BusChoice:
             "there is no recording and no bus; give a file (mcp-asdf view run.log) or the bus of real robots "
             "(--interface socketcan --channel can0); mcp-asdf swarm --view shows an emulated swarm"
         )
-    # An option that was not typed is None, empty or, for the trial, 0. A typed trial 0 passes, too, which
-    # does no harm.
-    for option in ("export", "where", "trial"):
-        if getattr(args, option):
-            raise UsageError(f"--{option} is for recordings, and there is none; leave it out")
+    for option in _OPTIONS_OF_RECORDINGS:
+        if option in args.typed_options:
+            raise UsageError(f"{option} is for recordings, and there is none; leave it out")
     return bus_choice

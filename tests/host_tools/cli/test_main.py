@@ -75,6 +75,23 @@ def test_version_prints_the_program_and_three_numbers(capsys: Capture) -> None:
     assert re.fullmatch(r"mcp-asdf \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
 
+@pytest.mark.parametrize(
+    "line", ["--channel can0", "--channel=can0", "-c can0", "-ccan0", "-c=can0", "-vccan0", "-vvc can0"]
+)
+def test_an_option_counts_as_typed_by_its_long_name_in_each_form_that_is_accepted(line: str) -> None:
+    """The option ``--channel`` may be typed as ``-c``, and behind other options that have no values."""
+    args = cli._parser_for("view", cli._load("view")).parse_all(line.split())
+    assert args.channel == "can0"
+    assert args.typed_options - {"--verbose"} == {"--channel"}
+
+
+@pytest.mark.parametrize("arguments", [[], ["--", "-ccan0"], ["--", "--channel"]])
+def test_a_file_with_the_name_of_an_option_does_not_count_as_one(arguments: list[str]) -> None:
+    """The shell passes such a name behind ``--``."""
+    args = cli._parser_for("view", cli._load("view")).parse_all(arguments)
+    assert args.typed_options == set()
+
+
 MISTAKES = [
     ("tabel", "no command is called 'tabel'; did you mean table?"),
     ("xyz", "no command is called 'xyz'"),
