@@ -48,7 +48,9 @@ export class AddressFormat {
       if (value >= minimum && value <= maximum) settings[name] = value;
     }
     for (const name of INTEGER_SETTINGS) settings[name] = Math.floor(settings[name]);
-    if (parameters.get("filter") in FILTERS) settings.filter = parameters.get("filter");
+    const filter = parameters.get("filter");
+    // Not `in`, which finds names that every object has, such as "constructor".
+    if (Object.hasOwn(FILTERS, filter)) settings.filter = filter;
     return limitLiars(settings);
   }
 

@@ -207,6 +207,13 @@ def test_the_title_of_a_swarm_has_robots_filter_topology_and_seed(
     assert SwarmRecorder(settings).history.description.title == expected_title
 
 
+def test_the_filter_has_a_name_for_programs_and_one_for_readers() -> None:
+    """Pages and pictures have a minus sign where programs, and the command line, have "minus"."""
+    description = SwarmRecorder(swarm_settings(filter="asdf-minus")).history.description
+    assert description.filter == "asdf-minus"
+    assert description.filter_term == "ASDF\N{MINUS SIGN}"
+
+
 def test_the_title_of_a_trial_but_the_first_ends_with_its_number() -> None:
     """The second trial of an experiment with seed 3 is trial 1."""
     history = recompute_trial_history(run_experiment(), trial=1)

@@ -134,6 +134,11 @@ test("settings that are out of range or no numbers have their defaults", () => {
   assert.deepEqual([robots, flawed, seed, filter], [20, 50, 3, "asdf-minus"]);
 });
 
+test("a filter that is called like a property of every object is none of the filters", () => {
+  const { filter } = new AddressFormat(LIMITS).parse("#filter=constructor");
+  assert.equal(filter, "asdf-minus");
+});
+
 test("a tenth of the robots more misjudge their sensors at a time, until all do", () => {
   const shares = [50, 95, 100].map((flawed) => miscalibrateMore({ ...SETTINGS, flawed }).flawed);
   assert.deepEqual(shares, [60, 100, 100]);
