@@ -53,7 +53,6 @@ _MAX_FRAMES_IN_ERROR = 8
 OpenBus = Callable[[int], can.BusABC]
 """Opens a connection to the bus of a robot, by id."""
 
-
 FrameKey = tuple[int, bytes]
 """Identifier and data of a frame: a bus preserves both, and they tell frames apart."""
 
@@ -141,7 +140,7 @@ class ExpectingConnection:
                 continue
             arrived[key].append(frame)
             # An overdue frame may be lost for ever: to wait for it would hold up every later tick.
-            if missing_expected.total() == 0:
+            if expected and missing_expected.total() == 0:
                 break
 
         late, still_overdue = _split_by_arrival(self._overdue, arrived)

@@ -412,6 +412,20 @@ def test_a_late_frame_is_received_with_the_next_ones_and_counted_once(
     assert unexpected_frames == []
 
 
+def test_all_late_frames_are_received_together_if_no_other_frame_is_expected(
+    bus_and_connection: BusAndConnection,
+) -> None:
+    """So does a robot that hears nobody else any more."""
+    bus, connection, _unexpected_frames = bus_and_connection
+    late_frames = [sent_estimate(sender=1, tick=0), sent_estimate(sender=2, tick=0)]
+    assert receive_within_10_ms(connection, expected=late_frames) == []
+    for late in late_frames:
+        bus.send(late.frame)
+
+    received_frames = receive_within_10_ms(connection, expected=[])
+    assert received_frames == identifiers_and_data([late.frame for late in late_frames])
+
+
 def test_a_lost_frame_does_not_hold_up_the_frames_that_are_expected_after_it(
     bus_and_connection: BusAndConnection,
 ) -> None:
