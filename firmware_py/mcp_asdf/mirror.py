@@ -914,7 +914,8 @@ def _decode_state(config: Config, image: bytes) -> State:
     is_robust = config.filter == Filter.ROBUST
     image_format = _FORMAT_WITH_ROBUST_FILTER if is_robust else _FORMAT_WITH_ROUNDS
     numbers = image_format.unpack_from(image)  # the checksum is behind them
-    b_hat, t, n, x_hat, alpha, filter_left = numbers[1:7]  # behind the word that marks the version
+    # In the order of _encode_state: 7 numbers, what the filter remembers, 4 words of senders, and 7 numbers.
+    _version_word, b_hat, t, n, x_hat, alpha, filter_left = numbers[:7]
     memory_of_filter = numbers[7:-11]
     heard = numbers[-11:-7]
     accepted, repeated, rejected, tests, updates, updated, robot_id = numbers[-7:]

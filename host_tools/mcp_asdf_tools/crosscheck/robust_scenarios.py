@@ -16,6 +16,7 @@ from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE
 from mcp_asdf.mirror import State, accuracy_of
 from mcp_asdf.robot import MAX_ID, Filter
 from mcp_asdf.robust_filter import (
+    CENTRE_MAX,
     CENTRE_START,
     DISPERSION_MAX,
     DISPERSION_MIN,
@@ -56,7 +57,6 @@ from mcp_asdf_tools.crosscheck.random_values import (
 )
 from mcp_asdf_tools.crosscheck.scenario import Scenario
 
-_CENTRE_ONE = q30_from_q23(ONE)
 _SLOT_UNIT = q30_from_q23(q23_from_q16(1))
 """Unit of the estimates in slots, as a number of units of the votes."""
 
@@ -236,7 +236,7 @@ class RobustScenarioWriter(ScenarioWriter):
         """
         rng = self._rng
         centre_of_messages = q30_from_q23(self._common_x_hat)
-        centre = draw_at_edges(rng, [0, centre_of_messages, _CENTRE_ONE], 0, _CENTRE_ONE)
+        centre = draw_at_edges(rng, [0, centre_of_messages, CENTRE_MAX], 0, CENTRE_MAX)
         power_of_two = 1 << rng.randrange(18, 29)  # from SPREAD_MIN to SPREAD_MAX
         spread = draw_at_edges(rng, [SPREAD_MIN, power_of_two, power_of_two], SPREAD_MIN, SPREAD_MAX)
         # In half of the cases they are multiples of the unit of slots, so that a vote can be at the centre,
@@ -470,7 +470,7 @@ def _limits_by_name(robot: State) -> dict[str, tuple[int, ...]]:
     largest_batch_t = robust.batch_n + white_count
     smallest_batch_n = max(robust.batch_t - white_count, 0)
     return {
-        "robust_centre": (0, _CENTRE_ONE, CENTRE_START),
+        "robust_centre": (0, CENTRE_MAX, CENTRE_START),
         "robust_spread": (SPREAD_MIN, SPREAD_MAX),
         "robust_initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robust.initial_b_hat),
         "robust_filled_slots": (robust.filled_slots, slots_without_first),
