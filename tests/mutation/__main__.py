@@ -16,6 +16,13 @@ from mutation import c_killers, python_killers
 from mutation.mutants import equivalents, mutants
 
 
+def is_noticed(path: Path, source: str) -> bool:
+    """Return whether a test of its package fails if a file has another text."""
+    if path.suffix == ".py":
+        return python_killers.is_noticed(path, source)
+    return c_killers.is_noticed(path, source)
+
+
 def main() -> None:
     """Try all mutants, or some at random, and print those that survive. The exit code is 1 if any does."""
     parser = argparse.ArgumentParser(
@@ -30,10 +37,13 @@ def main() -> None:
     tried_mutants = (
         mistakes if args.sample is None else random.sample(mistakes, min(args.sample, len(mistakes)))
     )
+    # If tests failed without a mistake, they would seem to notice any. One file stands for its folder.
+    for path in {mutant.path.parent: mutant.path for mutant in tried_mutants}.values():
+        if is_noticed(path, path.read_text(encoding="utf-8")):
+            parser.error(f"tests of {path} fail without a mistake, too: run and mend them first")
     survivor_count = 0
     for mutant in tried_mutants:
-        killers = python_killers if mutant.path.suffix == ".py" else c_killers
-        if not killers.is_noticed(mutant.path, mutant.source()):
+        if not is_noticed(mutant.path, mutant.source()):
             survivor_count += 1
             print("survives:", mutant.name, flush=True)
     print(f"{len(tried_mutants)} mutants, {survivor_count} survive")

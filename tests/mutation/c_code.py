@@ -19,7 +19,7 @@ FUNCTION_HEAD = re.compile(
     r"^(?!typedef|static const|ASSERT)[ \t]*\w[^;{}=]*?\b(\w+)\([^;{}]*\)\s*\{", re.MULTILINE
 )
 STATEMENT = re.compile(
-    r"(?<=[;{}:])\s*((?:\+\+|--|\*|\(void\)(?=\w+\())?[a-z][\w>.\[\]\-]*\s*(?:(?:[-+|&<>^]*=|\()[^;{}]*)?;)"
+    r"(?<=[;{}])\s*((?:\+\+|--|\*|\(void\)(?=\w+\())?[a-z][\w>.\[\]\-]*\s*(?:(?:[-+|&<>^]*=|\()[^;{}]*)?;)"
 )
 CONDITION = re.compile(r"\b(if|while) \(")
 

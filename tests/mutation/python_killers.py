@@ -6,6 +6,7 @@ This file is also the plugin that plants the text: pytest runs in a process of i
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from importlib.machinery import SourceFileLoader
@@ -21,26 +22,36 @@ MUTATED_FILE, MUTANT_SOURCE = "MCP_ASDF_MUTATED_FILE", "MCP_ASDF_MUTANT"
 """Variables of the environment with the file that is imported with other text, and with that text."""
 TIMEOUT = 120
 """Seconds after which a test fails because it hangs. A quick test takes ten at most."""
+RUN_TIMEOUT = 1800
+"""Seconds after which all tests are ended: a mutant may also hang between tests. They take a sixth of it."""
 SLOW_PACKAGES = ("crosscheck", "experiments", "studies", "swarm")
 """Packages of the tools whose tests take longest."""
 
 
 def is_noticed(path: Path, source: str) -> bool:
-    """Return whether a quick test of its package fails if a Python file has another text."""
+    """Return whether a quick test of its package fails, or hangs, if a Python file has another text."""
     # Variables that another run of pytest has set would change this one.
     environment = {
         name: value for name, value in os.environ.items() if not name.startswith(("PYTEST_", DRAWS_ALL))
     }
     environment |= {"PYTHONPATH": "tests", MUTATED_FILE: str(path), MUTANT_SOURCE: source}
     options = ("-x", "-m", "not slow", "-p", __name__, "-p", "no:xdist", "-p", "no:cacheprovider")
-    done = subprocess.run(
+    tests = subprocess.Popen(
         [sys.executable, "-m", "pytest", *options, *_tests_of(path)],
         cwd=ROOT,
         env=environment,
-        capture_output=True,
-        check=False,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # so that what the tests have started can be ended with them
     )
-    return done.returncode != pytest.ExitCode.OK
+    try:
+        return tests.wait(RUN_TIMEOUT) != pytest.ExitCode.OK
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        if tests.poll() is None:
+            os.killpg(tests.pid, signal.SIGKILL)
+            tests.wait()
 
 
 def _tests_of(path: Path) -> list[str]:
