@@ -44,13 +44,13 @@ def test_every_small_mistake_in_the_firmware_s_python_is_noticed_by_its_tests() 
 def test_most_small_mistakes_in_a_room_of_the_tools_are_noticed_by_its_quick_tests() -> None:
     """A room is a package of the tools or their ``library.py``. Each run of this test draws one of them.
 
-    Of 90 mistakes that were drawn from all rooms, the tests noticed 78. If they noticed only three of four,
-    this test would fail once in 50 runs. Harmless changes to the tools are not listed, as they are few.
+    Of 39 mistakes that were drawn from most rooms, the tests noticed 34. If they noticed only half, this test
+    would fail in three of five runs. Harmless changes to the tools are not listed, as they are few.
     """
     rooms = [path for path in TOOLS.iterdir() if path.suffix in ("", ".py") and path.name[0] != "_"]
     room = random.choice(rooms)
-    unnoticed = plant_mistakes(sorted(room.rglob("*.py")) if room.is_dir() else [room], sample=30)
-    assert len(unnoticed) <= 12, unnoticed
+    unnoticed = plant_mistakes(sorted(room.rglob("*.py")) if room.is_dir() else [room], sample=12)
+    assert len(unnoticed) <= 5, unnoticed
 
 
 def test_each_change_that_is_listed_as_harmless_is_one_that_is_tried() -> None:
