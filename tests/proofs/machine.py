@@ -325,6 +325,7 @@ class Machine:
         """
         for kind in (c_ast.ArrayRef, c_ast.StructRef, c_ast.FuncCall):
             assert not any(nodes(body, kind)), "a turn that may change more than variables"
+        assert not any(unary.op == "*" for unary in nodes(body, c_ast.UnaryOp)), "a turn that uses a pointer"
         assert self.loop_invariant is not None
         self.require(self.loop_invariant(terms_of(self.variables)), "the invariant of a loop")
         if False in self.decisions[forks_before : self._forks_passed]:

@@ -87,7 +87,7 @@ def apply_operator(symbol: str, left_operand: Number, right_operand: Number, req
         require(right_operand.term != 0, "division by 0")
     operate = OPERATORS[type_.signed][symbol]
     result = Number(operate(left_operand.term, right_operand.term), type_)
-    if type_.signed and symbol in ("+", "-", "*"):
+    if type_.signed and symbol in ("+", "-", "*", "<<"):
         # Twice as many bits hold every result.
         long_type = IntegerType(2 * type_.bits, signed=True)
         exact_term = operate(convert(left_operand, long_type).term, convert(right_operand, long_type).term)

@@ -121,6 +121,8 @@ UNDEFINED_BODIES = {
     "return a / b > 1U || b == 0U;": "division by 0",
     # The sum of two numbers of 31 bits may exceed the largest int32_t.
     "return (uint32_t)((int32_t)(a >> 1) + (int32_t)(b >> 1));": "overflow of +",
+    # A byte becomes an int, of which the highest bit is the sign.
+    "return (uint32_t)((uint8_t)a << 24);": "overflow of <<",
     # a % 4U may be 3, and the last element is words[2].
     "uint32_t words[3]; words[a % 4U] = b; return words[0];": "an element",
     # b & 3U may be 3, and i then has the values 0 to 3, in four turns.
