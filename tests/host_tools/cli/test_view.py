@@ -278,6 +278,8 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
         ("view run.log --true-accuracy 0.5", "--true-accuracy is for a bus"),
         ("view run.log --subject 9", "--subject is for a bus"),
         ("view run.log -ivirtual", "--interface is for a bus"),
+        ("view run.log -b 500000", "--bitrate is for a bus"),
+        ("view run.log --bus-kwargs a=b", "--bus-kwargs is for a bus"),
         ("view run.log --channel can0", "--channel is for a bus"),
         ("swarm --steps 1 --pace 500", "--pace is for the page of --view; add --view, or leave it out"),
         ("swarm --steps 1 --port 0", "--port is for the page of --view"),
