@@ -204,6 +204,22 @@ def test_input_that_cannot_be_decoded_is_received_as_an_error_frame(error: Excep
     assert frame.is_error_frame
 
 
+UNUSUAL_FRAMES = [
+    can.Message(is_error_frame=True, arbitration_id=1 << 28, is_extended_id=False, dlc=8, data=bytes(8)),
+    can.Message(is_error_frame=True, dlc=8, data=bytes(2)),
+    can.Message(is_remote_frame=True, arbitration_id=3, dlc=5),
+]
+"""Frames as interfaces pass them on: errors that a controller has found, and a request for five bytes."""
+
+
+@pytest.mark.parametrize("frame", UNUSUAL_FRAMES, ids=str)
+def test_an_error_frame_and_a_remote_frame_are_received_as_they_are(frame: can.Message) -> None:
+    """A log has the details of the error then. Only damaged input becomes an error frame without details."""
+    bus = Mock(channel_info="can0", protocol=can.CanProtocol.CAN_20)
+    bus._recv_internal.return_value = (frame, True)
+    assert Connection(bus).recv(timeout=0) is frame
+
+
 @pytest.mark.parametrize("error", DECODING_ERRORS, ids=str)
 def test_a_decoding_error_of_a_bus_that_is_closed_is_reported_as_a_bus_that_is_gone(error: Exception) -> None:
     """Some drivers decode nothing as if it were input when their device is gone.

@@ -194,6 +194,27 @@ def test_robots_that_send_no_heartbeat_are_named_in_the_error(
 
 
 @frozen_clock()
+def test_a_heartbeat_of_an_earlier_wait_does_not_show_that_a_robot_is_up() -> None:
+    """The robot sends a heartbeat when it starts, and then none, since no tick passes."""
+    lockstep = Lockstep(Wire(make_node(1)))
+    lockstep.wait_until_up({1}, timeout=0.01)
+    with pytest.raises(LockstepError, match="robot 1 did not send a heartbeat"):
+        lockstep.wait_until_up({1}, timeout=0.01)
+
+
+@frozen_clock()
+def test_no_command_is_repeated_while_a_heartbeat_is_waited_for() -> None:
+    """A robot that gets the last command of its last tick again could take it for one of the next tick."""
+    wire = Wire(make_node(1))
+    lockstep = Lockstep(wire)
+    drive_robot_1(lockstep, ticks=1)
+    commands_of_tick = list(wire.sent)
+    with pytest.raises(LockstepError, match="robot 1 did not send a heartbeat"):
+        lockstep.wait_until_up({1}, timeout=0.01)
+    assert wire.sent == commands_of_tick
+
+
+@frozen_clock()
 def test_a_robot_that_does_not_broadcast_or_does_not_end_its_tick_is_named_in_the_error() -> None:
     """Robots 0 and 2 do so, and robot 1 is not on the bus. LockstepError names it and the time limit."""
     lockstep = Lockstep(Wire(make_node(0), make_node(2)), timeout=0.02)
