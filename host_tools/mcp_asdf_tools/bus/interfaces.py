@@ -297,7 +297,7 @@ def _check_can_be_sent(frame: can.Message) -> None:
 
     From some damaged input python-can decodes frames that no controller can send.
     """
-    # Identifier and data of an error frame describe the error: the one has 29 bits, the other any length.
+    # An error frame describes the error by an identifier of 29 bits and by data of any length.
     is_extended = frame.is_extended_id or frame.is_error_frame
     has_valid_id = 0 <= frame.arbitration_id <= (_MAX_EXTENDED_ID if is_extended else _MAX_STANDARD_ID)
     # A remote frame states the length of the answer, and has no data itself.

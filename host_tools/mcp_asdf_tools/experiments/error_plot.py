@@ -25,7 +25,7 @@ from mcp_asdf_tools.experiments.scores import PAPER_LIMITS
 
 
 def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], series_name: SeriesName) -> Figure:
-    """Plot the mean error |x - f| of a swarm over time: a panel for each title, in it a line for each name.
+    """Plot the mean error |x - f| of a swarm over time. Each title has a panel, and each name a line in it.
 
     x is a robot's informed estimate and f the true share of black tiles, so this is the mean over the robots
     of a trial; the line is the median over the trials. Trials of one panel to which ``series_name`` gives the

@@ -59,7 +59,7 @@ def _is_near_all_later(
 def _extremes_after_chunks(
     extreme: np.ufunc, series: NDArray[Any], chunk_starts: NDArray[np.int64]
 ) -> NDArray[Any]:
-    """Return an array with an element for each chunk of a series: the extreme of all values after the chunk.
+    """Return an array whose element i is the extreme of all values of a series after its chunk i.
 
     ``extreme`` is np.minimum for the lowest values, or np.maximum for the highest. No values come after the
     last chunk; its element is the last value of the series.

@@ -43,7 +43,7 @@ MIN_TRIALS_OF_INTERVAL = 6
 """Trials from which on a median has a 95 % interval."""
 
 Results: TypeAlias = "pa.Table | Sequence[Trials]"
-"""What pictures are drawn of: a table of trials, or experiments from ``experiments_in``."""
+"""Pictures are drawn of a table of trials, or of experiments from ``experiments_in``."""
 
 COLOUR_OF_HEALTHY_ROBOTS = COLOURS[0]
 """Colour of robots that are not flawed."""
@@ -153,7 +153,7 @@ class Series:
 def legend_of_series(
     all_series: Sequence[Series], marker: str = "o", line: Literal["", "-"] = ""
 ) -> list[Line2D]:
-    """Return the entries of a legend, one for each series: a marker, a line or both in its colour."""
+    """Return the entries of a legend. Each series has one: a marker, a line or both in its colour."""
     return [legend_handle(series.label, series.colour, marker, line) for series in all_series]
 
 

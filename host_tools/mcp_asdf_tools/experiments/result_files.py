@@ -290,9 +290,9 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
 
 
 def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> int:
-    """Return the format that the metadata of a file name, which is one of READABLE_FORMATS.
+    """Return the format of a file, one of READABLE_FORMATS, as its metadata state it.
 
-    Raises UsageError if the metadata are not those of results, or name another format.
+    Raises UsageError if the metadata are not those of results, or state another format.
     """
     try:
         metadata = json.loads(file_metadata.get(METADATA_KEY, b"{}"))

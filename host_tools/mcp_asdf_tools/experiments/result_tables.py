@@ -251,14 +251,14 @@ def _metadata_of(trials: Trials) -> dict[str, Any]:
 
 
 def _nest_records(values: NDArray[np.float64]) -> pa.Array:
-    """Return records, shape (trials, samples, N), as an array with a list of lists for each trial."""
+    """Return records, shape (trials, samples, N), as an array in which each trial has a list of lists."""
     trial_count, sample_count, robots = values.shape
     # pyarrow makes lists of one long array and of offsets: where each list begins, and where the last ends.
-    # A list for each sample, of N values each.
+    # Each sample has a list of N values.
     list_count = trial_count * sample_count
     sample_offsets = pa.array(robots * np.arange(list_count + 1), pa.int32())
     samples = pa.ListArray.from_arrays(sample_offsets, pa.array(values.ravel()), type=_VALUES_OF_ROBOTS)
-    # A list of these lists for each trial.
+    # Each trial has a list of these lists.
     trial_offsets = pa.array(sample_count * np.arange(trial_count + 1), pa.int32())
     return pa.ListArray.from_arrays(trial_offsets, samples, type=_RECORD_OF_TRIAL)
 
@@ -350,7 +350,7 @@ def _damage_error(problem: str) -> UsageError:
 def score_table(table: pa.Table, limits: Limits) -> pa.Table:
     """Return a table with its scores H, h_K and h_e computed anew with other limits K_max and e_max.
 
-    O(rows). Raises UsageError if a list in a row has not a value of each robot.
+    O(rows). Raises UsageError if a list does not have exactly one value of each robot.
     """
     table = to_present_format(table)
     lists = table.select(["k", "e"]).combine_chunks()  # rows are taken slowly from many chunks

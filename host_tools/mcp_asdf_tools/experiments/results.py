@@ -79,7 +79,7 @@ class Trials:
         return score(self.convergence_steps, self.errors, *limits.of(self.experiment))
 
     def measures(self, limits: Limits = PAPER_LIMITS) -> dict[str, NDArray[np.float64 | np.signedinteger]]:
-        """Return the measures of the trials by name, with a value for each trial.
+        """Return the measures of the trials by name. Each measure has one value per trial.
 
         The names are those of the scores, "K" and "e" for the means of convergence steps and errors over the
         robots, and "updates" for the sum of the robots' re-estimates of b_hat.
@@ -235,7 +235,7 @@ _CSV_RESULT_COLUMNS = (*SCORES, "mean_K", "mean_e", "mean_b_hat", "tests", "upda
 
 
 def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
-    """Return the columns of a CSV file that have results, by name, with a value for each trial.
+    """Return the columns of a CSV file that have results, by name. Each column has one value per trial.
 
     Besides the columns of _CSV_RESULT_COLUMNS there are measures that the file does not have.
     """

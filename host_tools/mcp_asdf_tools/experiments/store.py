@@ -61,7 +61,7 @@ def _result_key(experiment: Experiment) -> _ResultKey:
 
 
 def _rows_without_results(experiments: Iterable[Experiment]) -> dict[_ResultKey, NDArray[np.int64]]:
-    """Return by ``_result_key`` an array with a -1 for each trial: no row of results belongs to it yet.
+    """Return arrays by ``_result_key``. Each trial has a -1: no row of results belongs to it yet.
 
     Experiments that differ only in their number of trials share an array, as long as the largest number.
     """
@@ -92,7 +92,7 @@ class Store:
         self._output = output
         self.experiments = without_repetitions(experiments)
         self.sampling_interval = sampling_interval
-        # So few that the trials of any experiment fit a part, and a row group of the output.
+        # A part, and a row group of the output, has room for this many trials of any of the experiments.
         self._rows_per_part = min(map(self._rows_that_fit, self.experiments))
         self._row_groups = RowGroups()
         self._unwritten: list[pa.Table] = []
@@ -108,8 +108,8 @@ class Store:
     def _rows_that_fit(self, experiment: Experiment) -> int:
         """Return how many rows, which are trials of an experiment, fit ROW_GROUP_BYTES, at least 1.
 
-        It follows from the parameters alone: the size of tables in memory differs a little by where their
-        rows come from, and the same results must always give the same file.
+        The number follows from the parameters alone, since the same results must always give the same file.
+        The size of tables in memory would not do: it differs a little by where their rows come from.
         """
         filter_steps = experiment.steps // experiment.filter_period
         values_per_robot = 4 + filter_steps  # K, e, tests and updates, and b_hat after each filter step

@@ -120,7 +120,7 @@ def jobs_of_experiment(
 def _max_trials_of_job(experiment: Experiment, sampling_interval: int) -> int:
     """Return the largest number of trials, 1 or more, that one job of the experiment runs.
 
-    It falls with the number of robots and steps, and the more values are recorded. On any firmware but
+    It is smaller the more robots, steps and recorded values a trial has. On any firmware but
     "native" it is 1, as these trials run in Python and each takes long.
     """
     if experiment.firmware != "native":

@@ -113,7 +113,7 @@ def _columns_of_rows(
 ) -> dict[str, NDArray[Any]]:
     """Return the columns trial, step, robot and is_flawed of a tidy table, by name.
 
-    Each is an array of the shape (trials, steps, N), with an element for each row.
+    Each is an array of the shape (trials, steps, N), and each row of the table has one element of it.
     """
     robots = range(population.robots)
     trial_column, step_column, robot_column = np.meshgrid(trial_numbers, steps, robots, indexing="ij")

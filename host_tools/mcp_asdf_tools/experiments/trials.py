@@ -38,8 +38,8 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     Raises UsageError if the firmware or an extension cannot be loaded, or if an arena has too little room.
     O(trials steps robots), robots squared in Python.
 
-    The engine keeps four bytes for each estimate of a robot until K and e are known. Long trials should run a
-    few at a time, as in the jobs of a sweep.
+    The engine keeps every estimate of a robot, of four bytes, until K and e are known. So only a few long
+    trials should be run at a time, as in the jobs of a sweep.
     """
     numbers = range(first, first + trials)
     if experiment.parameter_lacking_in_c:

@@ -254,9 +254,9 @@ class Lockstep:
         )
 
     def _receive(self, seconds: float) -> can.Message | None:
-        """Wait for a frame, report and store it if another node has sent it, and return it in any case.
+        """Return the next frame, or None if none comes within ``seconds``.
 
-        Returns None if none comes within ``seconds``.
+        A frame that another node has sent is reported and stored before that.
         """
         frame = self._bus.recv(seconds)
         if frame is not None and frame.is_rx:  # some buses return the commands sent here

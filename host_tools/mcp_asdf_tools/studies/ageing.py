@@ -93,9 +93,9 @@ def ageing_rows() -> dict[str, list[Experiment]]:
 
 
 def peer_rows() -> dict[str, list[Experiment]]:
-    """Return the experiments of each row by its label: a kind of ageing, with robots that know how they age.
+    """Return the experiments of each row, by its label. A row has sensors with one kind of ageing.
 
-    All of these robots have the longest memory.
+    Its robots know how their sensors age, and have the longest memory.
     """
     rows: dict[str, list[Experiment]] = {}
     for kind, peers in PEERS_BY_KIND.items():

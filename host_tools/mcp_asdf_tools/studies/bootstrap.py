@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Sample = NDArray[np.float64]
-"""One value for each trial of an experiment."""
+"""Values of an experiment, one per trial."""
 
 RESAMPLES = 20_000
 """Enough for the claim with most comparisons: its corrected interval leaves out a tail of one in 3000."""
@@ -132,7 +132,7 @@ def largest_of_resampled(statistics: Sequence[Resampled]) -> Resampled:
     Its value is the largest of their values, and each of its resamples is the largest of theirs.
     """
     value = max(statistic.value for statistic in statistics)
-    resamples = np.array([statistic.resamples for statistic in statistics])  # a row for each statistic
+    resamples = np.array([statistic.resamples for statistic in statistics])  # each statistic has a row
     return Resampled(value, resamples.max(axis=0))
 
 

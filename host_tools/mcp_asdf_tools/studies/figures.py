@@ -105,7 +105,7 @@ def _trials_of_users_filter(
 
 
 def _counts_as(experiment: Experiment, study_part: StudyPart, filter_name: str) -> bool:
-    """Return whether an experiment of a part has a filter of the paper's, or the same results with it.
+    """Return whether an experiment of a part has a filter, or would have the same results with it.
 
     With ASDF- only flawed robots filter. So it is no filter where no robot is flawed, and it is ASDF+ where
     all are: the study has run these swarms once, under the name that ``Cell.normal`` chooses.

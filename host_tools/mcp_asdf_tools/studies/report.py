@@ -162,8 +162,8 @@ def _decisions_by_part(decisions: Sequence[Decision]) -> dict[str, list[Decision
 def _answers_by_question(decisions: Sequence[Decision]) -> dict[str, list[Decision]]:
     """Return the decisions that answer the questions of users, by question.
 
-    QUESTIONS has the claim whose decisions answer a question; there is one for each part of the study that it
-    is about. Questions without an answer are left out.
+    A question is answered by the decisions on the claim that has it in QUESTIONS; each part of the study that
+    the claim is about has one. Questions without an answer are left out.
     """
     answers_by_question: dict[str, list[Decision]] = {}
     for claim_name, question in QUESTIONS.items():

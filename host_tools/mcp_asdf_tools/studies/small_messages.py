@@ -172,7 +172,7 @@ def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
 
 
 def interval_table(ratios: RatiosByCode) -> str:
-    """Return a table in Markdown of ratios and the ends of their intervals, with a row for each code."""
+    """Return a table in Markdown of ratios and the ends of their intervals; each code has a row."""
     heads = ["bits of x_hat", "bits of alpha", "ratio", "at least", "at most"]
     rows: list[list[str]] = []
     for code, (ratio, at_least, at_most) in ratios.items():

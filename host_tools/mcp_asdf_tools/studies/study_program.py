@@ -127,7 +127,7 @@ def late_errors(trials: Trials) -> Sample:
 
 
 def last_quarter(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values in the last quarter of each trial; the first axes are trials and recorded steps."""
+    """Return the values in the last quarter of each trial. Their shape is (trials, recorded steps, ...)."""
     _trials, recorded_steps, *_other_lengths = values.shape
     quarter_length = max(1, recorded_steps // 4)  # a short trial has few values, but at least one counts
     return values[:, -quarter_length:]

@@ -66,7 +66,7 @@ class StudyResults:
         return ""
 
     def sample(self, cell: Cell, name: str) -> Sample:
-        """Return a value for each trial of a cell, which is one kind of swarm.
+        """Return the values of a cell, which is one kind of swarm: one value per trial.
 
         ``name`` says which value: a score from 0 to 100, which is h_K for speed of convergence, h_e for
         accuracy, or H, their mean; or "b_hat", the accuracy that robots which are not flawed assume at the

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 
 def format_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table in Markdown with these heads of columns, and a line for each row of values."""
+    """Return a table in Markdown with these heads of columns; each row of values becomes a line."""
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for values in rows:
         texts = [str(value) for value in values]

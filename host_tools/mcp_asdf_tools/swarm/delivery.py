@@ -100,7 +100,7 @@ class DeliveryQueue:
         self._current_neighbours = current_neighbours
         self._apply_link_faults = apply_link_faults
         self._frames_by_tick: deque[Sequence[SentFrame]] = deque([()] * latency)
-        """Frames that wait for the latency to pass, by the tick in which they were sent."""
+        """Frames that wait for the latency to pass; an entry has those of a tick, the earliest tick first."""
         self._pending: defaultdict[int, list[Deliveries]] = defaultdict(list)
         """Deliveries by the tick in which they arrive."""
 

@@ -21,7 +21,7 @@ _SECONDS_BETWEEN_REFRESHES = 0.25
 def live_view(
     console: Console, steps: int, baselines: Baselines | None = None
 ) -> Iterator[Callable[[Swarm], None]]:
-    """Context manager that shows how far a run of ``steps`` is; yields a hook for the end of each tick.
+    """Show in this context how far a run of ``steps`` is, and yield a hook for the end of each tick.
 
     A terminal that can move its cursor gets a bar with the mean errors, also those of ``baselines`` if there
     are any, and keeps it at the end. Otherwise the count of ticks goes to standard error, as that of any long
@@ -36,9 +36,9 @@ def live_view(
 
 
 def _empty_bar(console: Console) -> Progress:
-    """Return a bar that has no task yet. It is drawn only when it is told to, by the run itself.
+    """Return a bar that has no task yet.
 
-    So there is no second thread, and no half-done tick on the screen.
+    It is drawn only when the run itself tells it to, since a second thread could draw a half-done tick.
     """
     return Progress(
         TextColumn("{task.completed:.0f}/{task.total:.0f}"),

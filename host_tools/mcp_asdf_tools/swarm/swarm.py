@@ -133,8 +133,8 @@ class Swarm:
 
         ``on_frame``, if it is not None, is called with every frame, which is marked as received before that.
         """
-        # Without ``on_frame`` frames stay unmarked: radio sends them on, and takes marked ones that come back
-        # from the bus for frames of other nodes.
+        # Without ``on_frame`` frames stay unmarked. The command radio puts them on another bus, which may
+        # return them; a marked one would then count as a frame of another node.
         report_frame = _ignore_frame if on_frame is None else partial(_report_as_received, on_frame)
         # The drivers command over connections that the carrier opens.
         self._carrier.join(wiring, report_frame)
@@ -251,7 +251,7 @@ class Swarm:
         if not frames:
             return []
         assert self._external_robot is not None  # nobody else has external frames
-        # The index is the repetition, so that faults of links draw different random words for each frame.
+        # Faults of links draw random words by the repetition, so each frame needs a repetition of its own.
         return [
             SentFrame(frame, self._external_robot, self.ticks, repetition=index)
             for index, frame in enumerate(frames)

@@ -425,7 +425,7 @@ def tables_with_damaged_column(table: pa.Table, name: str) -> Iterator[tuple[pa.
 def damages_of_lists(lists: list[Any], *, is_record: bool) -> Iterator[list[Any]]:
     """Yield the lists of a column in several damaged versions: one list too short, gaps in all, or all empty.
 
-    A record is a list that has a list for each step. It is also damaged in the last step alone, in two ways.
+    A record is a list of lists, one per step. It is also damaged in two ways in the last step alone.
     """
     first_list, *other_lists = lists
     yield [*other_lists, first_list[:-1]]

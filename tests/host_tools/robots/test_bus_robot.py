@@ -210,9 +210,9 @@ def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_
 
 
 def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
-    """A robot receives a heartbeat, telemetry, and frames that it rejects, one for each reason to do so.
+    """A robot receives a heartbeat, telemetry, and frames that it rejects. Each reason to reject occurs once.
 
-    One of the reasons is an error frame, which is counted apart. An estimate comes, too, and is not counted.
+    One of these is an error frame, which is counted apart. An estimate comes, too, and is not counted.
     """
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     telemetry = Telemetry(sender=8, x=9, b_hat=1 << 23, updates=1, transfer_id=0)

@@ -94,7 +94,7 @@ def test_a_study_of_one_part_writes_its_results_and_a_report_in_three_formats(
 
 @pytest.fixture
 def open_stores(monkeypatch: pytest.MonkeyPatch) -> Mock:
-    """Stands for the function that opens results in a folder; the command ends there, before any trial."""
+    """A mock of the function that opens results in a folder; the command ends there, before any trial."""
     open_stores = Mock(side_effect=UsageError("no trial is to be run"))
     monkeypatch.setattr(reproduce, "open_stores", open_stores)
     return open_stores

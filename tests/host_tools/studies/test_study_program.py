@@ -291,10 +291,10 @@ def test_cells_that_are_simulated_again_have_the_numbers_on_the_page_of_their_st
     sampling_interval: int,
     mark: str,
 ) -> None:
-    """Of each table these are few columns of a row, as all of them would take minutes.
+    """Only a few columns of one row of each table are simulated, as all of them would take minutes.
 
     Together they have all kinds of sensors and robots but those with two readings, which take longest. The
-    page has the name of the study's module, and the table its mark.
+    page has the name of the study's module, and ``mark`` names the table on it.
     """
     text_of_cell = TEXT_OF_CELL.get(mark, study_program.late_error_text)
     results = [

@@ -301,7 +301,7 @@ def test_equal_frames_of_a_robot_in_a_tick_are_hit_one_by_one() -> None:
 
 @pytest.mark.parametrize(("duplicates", "ticks"), [(1, 100), (3, 100), (10, 2)])
 def test_each_copy_of_a_frame_is_hit_by_itself(duplicates: int, ticks: int) -> None:
-    """Each fault doubles the copies of a frame. Half of all copies are lost, and of some frame a part."""
+    """Each fault doubles the copies of a frame. Half of all copies are lost; some frames lose only a part."""
     faults = ["duplicate,ticks=0,robots=0,receivers=1"] * duplicates
     copies = run_under(*faults, "loss=0.5", ticks=ticks).copies_by_path
     numbers_left = [copies[tick, 1] for tick in range(ticks)]  # of the frames of robot 0, for robot 1

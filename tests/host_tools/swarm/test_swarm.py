@@ -415,7 +415,7 @@ def test_a_late_frame_is_received_with_the_next_ones_and_counted_once(
 def test_all_late_frames_are_received_together_if_no_other_frame_is_expected(
     bus_and_connection: BusAndConnection,
 ) -> None:
-    """So does a robot that hears nobody else any more."""
+    """A robot that hears nobody else any more receives its late frames in this way."""
     bus, connection, _unexpected_frames = bus_and_connection
     late_frames = [sent_estimate(sender=1, tick=0), sent_estimate(sender=2, tick=0)]
     assert receive_within_10_ms(connection, expected=late_frames) == []
@@ -429,7 +429,7 @@ def test_all_late_frames_are_received_together_if_no_other_frame_is_expected(
 def test_a_lost_frame_does_not_hold_up_the_frames_that_are_expected_after_it(
     bus_and_connection: BusAndConnection,
 ) -> None:
-    """A swarm in real time would wait for it in each tick that follows, as long as a tick may wait."""
+    """Otherwise a swarm in real time would wait in every later tick, each time as long as a tick may wait."""
     bus, connection, _unexpected_frames = bus_and_connection
     assert receive_within_10_ms(connection, expected=[sent_estimate(sender=1, tick=0)]) == []
     following = sent_estimate(sender=1, tick=1)

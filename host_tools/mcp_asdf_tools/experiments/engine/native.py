@@ -107,7 +107,7 @@ class EngineTrials:
         return self._array("mcp_asdf_config_t *", [struct_by_config[config] for config in configs])
 
     def _make_arenas(self, experiment: Experiment, first: int, trials: int) -> Any:
-        """Return the C array of the configs of the arenas in which robots move, one for each trial."""
+        """Return the C array of the configs of the arenas in which robots move; each trial has an arena."""
         configs_of_arenas = []
         for trial in range(first, first + trials):
             members_of_arena, floor_image = make_config(experiment, trial, _engine.ffi)

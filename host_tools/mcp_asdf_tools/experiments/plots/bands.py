@@ -11,10 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import (
-    INK,
-    SMALL,
-)
+from mcp_asdf_tools.common.figures import INK, SMALL
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import (
     ALWAYS_SHOWN_PARAMETERS,

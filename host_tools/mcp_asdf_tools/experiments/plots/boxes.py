@@ -48,7 +48,7 @@ def plot_boxes(
     limits: Limits = PAPER_LIMITS,
     series_name: SeriesName | None = None,
 ) -> Figure:
-    """Plot boxes of the score H by the share of flawed robots and their accuracy, a panel for each f and b.
+    """Plot boxes of the score H by the share of flawed robots and their accuracy. Each f and b has a panel.
 
     They are as in the paper's figures 3 and 5. Experiments have a colour by their filter and other parameters
     in which they differ, or by the name that ``series_name`` returns. A point for each trial shows what a box
@@ -113,7 +113,7 @@ def _slot_of(experiment: Experiment) -> tuple[float, float]:
 
 
 def _draw_box(axes: Axes, scores: NDArray[np.float64], middle: float, width: float, colour: str) -> None:
-    """Draw a box of the trials' scores, and a point for each trial, spread evenly over the box's width.
+    """Draw a box of the trials' scores, and the scores as points, spread evenly over the box's width.
 
     The box takes _DRAWN_SHARE_OF_WIDTH of ``width``, in the middle of it.
     """

@@ -44,7 +44,7 @@ from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, SCORES, Limits
 MEASURES = (*SCORES, "K", "e")
 
 Measure = Callable[[Trials], NDArray[np.float64]]
-"""Returns a value for each trial of an experiment."""
+"""Measures the trials of an experiment; the result has one value per trial."""
 
 
 def plot_curve(  # noqa: PLR0913 (each is given by name)
@@ -134,7 +134,7 @@ class _CurvePlot:
         experiments: What is drawn; they differ only in ``x``, ``hue`` and the parameter of the panels.
         x: The parameter along x.
         y: The name of one of MEASURES, or a function that measures trials.
-        hue: The parameter that has a curve for each of its values; empty for a single curve.
+        hue: The parameter of which each value has a curve; empty for a single curve.
         limits: Limits of the scores.
     """
 
@@ -167,7 +167,7 @@ class _CurvePlot:
         for axes, value in zip(panels, facet_values, strict=True):
             series_of_panel = all_series
             if facet:
-                # Every panel selects from the same series, which so have one colour in all panels.
+                # All panels select from the same series, so a series has the same colour in each of them.
                 series_of_panel = [series.select(**{facet: value}) for series in all_series]
                 axes.set_title(parameter_with_value(facet, value), fontsize=MEDIUM)
             self._draw_curves(axes, series_of_panel)
@@ -182,7 +182,7 @@ class _CurvePlot:
         return self.y if isinstance(self.y, str) else getattr(self.y, "__name__", "y")
 
     def _legend(self, all_series: Sequence[Series]) -> list[Line2D]:
-        """Return the entries of the legend, one for each series; without a hue the legend is empty."""
+        """Return the entries of the legend. Each series has one, but without a hue the legend is empty."""
         return legend_of_series(all_series, line="-") if self.hue else []
 
     def _draw_curves(self, axes: Axes, series_of_panel: Sequence[Series]) -> None:
@@ -194,7 +194,7 @@ class _CurvePlot:
         x_values = shown_values(self.experiments, self.x)
         position_by_x = {x: x for x in x_values}
         if any(isinstance(x, str) and len(x) > MAX_LABEL_LENGTH for x in x_values):
-            # Long texts are no numbers, so the axis has the index of each instead.
+            # A long text stands at its index, since another one may have the same shortened label.
             position_by_x = {x: index for index, x in enumerate(x_values)}
             axes.set_xticks(range(len(x_values)), [shorten(x) for x in x_values])
         for series in series_of_panel:

@@ -37,7 +37,7 @@ _MARKERS = "osD^v"
 def plot_scatter(
     results: Results, *, where: Mapping[str, Any] | None = None, limits: Limits = PAPER_LIMITS
 ) -> Figure:
-    """Plot the score h_e against h_K with a point for each trial, a row for each f, a column for each P.
+    """Plot the score h_e of trials against their h_K. Each f has a row of panels, and each P a column.
 
     h_e is the score for a small error, and h_K the score for fast convergence; f is the share of black tiles,
     and P the share of flawed robots. As in the paper's figure 4, every series has rows of its own. Swarms are

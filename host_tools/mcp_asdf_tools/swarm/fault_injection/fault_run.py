@@ -86,7 +86,10 @@ class FaultRun:
         return bool(word <= self._largest_hit)
 
     def content_word(self, node: int, tick: int, index: int) -> int:
-        """Return the content of a random frame, that with number ``index`` of those of a node in a tick."""
+        """Return the content of a random frame.
+
+        ``index`` is its number among the random frames that the node sends in the tick.
+        """
         # The first of the two words of index 0 decides whether the node is hit.
         _hit_word, content_word = self._words_for_node(2, tick, node, repetition=index)
         return int(content_word)
@@ -111,7 +114,7 @@ class FaultRun:
         for index, sent_frame in enumerate(deliveries.sent_frames):
             if self.fault.is_active(sent_frame.tick, sent_frame.sender):
                 words = self._words_for_receivers(deliveries, index, words_per_receiver)
-                first_words = words[:, 0]  # one for each robot of the swarm, receiver or not
+                first_words = words[:, 0]  # each robot of the swarm has one, receiver or not
                 is_hit[index] = deliveries.receivers[index] & (first_words <= self._largest_hit)
         return is_hit
 
