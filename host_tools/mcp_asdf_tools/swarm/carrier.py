@@ -31,7 +31,7 @@ from mcp_asdf_tools.bus.frames import Estimate, FrameContent, FrameFormat, decod
 from mcp_asdf_tools.robots.bus_robot import BusRobot, estimate_rows
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker, send_all
-from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
+from mcp_asdf_tools.swarm.delivery import Deliveries, FrameKey, SentFrame, key_of
 
 FRAME_TIMEOUT = 2.0
 """Seconds after which a frame that has not arrived counts as lost."""
@@ -52,9 +52,6 @@ _MAX_FRAMES_IN_ERROR = 8
 
 OpenBus = Callable[[int], can.BusABC]
 """Opens a connection to the bus of a robot, by id."""
-
-FrameKey = tuple[int, bytes]
-"""Identifier and data of a frame: a bus preserves both, and they tell frames apart."""
 
 ArrivedFrames = defaultdict[FrameKey, deque[can.Message]]
 """Frames that have arrived and were expected, in the order of their arrival, by identifier and data."""
@@ -130,7 +127,7 @@ class ExpectingConnection:
         missing_expected = _count_keys(expected)
         arrived: ArrivedFrames = defaultdict(deque)
         for frame in self._frames_within(FRAME_TIMEOUT if timeout is None else timeout):
-            key = _identifier_and_data(frame)
+            key = key_of(frame)
             if missing_overdue[key] > 0:
                 missing_overdue[key] -= 1
             elif missing_expected[key] > 0:
@@ -195,14 +192,9 @@ class ExpectingConnection:
         )
 
 
-def _identifier_and_data(frame: can.Message) -> FrameKey:
-    """Return the identifier and the data of a frame."""
-    return frame.arbitration_id, bytes(frame.data)
-
-
 def _count_keys(sent_frames: Iterable[SentFrame]) -> Counter[FrameKey]:
     """Return how many of the frames have each identifier and data."""
-    return Counter(_identifier_and_data(sent_frame.frame) for sent_frame in sent_frames)
+    return Counter(sent_frame.key for sent_frame in sent_frames)
 
 
 def _split_by_arrival(
@@ -216,7 +208,7 @@ def _split_by_arrival(
     received: list[SentFrame] = []
     missing: list[SentFrame] = []
     for sent_frame in sent_frames:
-        frames = arrived[_identifier_and_data(sent_frame.frame)]
+        frames = arrived.get(sent_frame.key)  # which adds no entry for a frame that has not arrived
         if frames:
             received.append(replace(sent_frame, frame=frames.popleft()))
         else:

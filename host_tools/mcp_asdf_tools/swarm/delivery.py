@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeAlias
 
 import can
@@ -15,6 +16,15 @@ from mcp_asdf_tools.bus.frames import sender_of
 
 ReceiverMask: TypeAlias = NDArray[np.bool_]
 """Whether a robot receives a frame, shape (frames, robots); a robot's column is its id."""
+
+
+FrameKey: TypeAlias = tuple[int, bytes]
+"""Identifier and data of a frame: a bus preserves both, and they tell frames apart."""
+
+
+def key_of(frame: can.Message) -> FrameKey:
+    """Return the identifier and the data of a frame."""
+    return frame.arbitration_id, bytes(frame.data)
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,11 @@ class SentFrame:
     tick: int
     repetition: int = 0
     is_falsified: bool = False
+
+    @cached_property
+    def key(self) -> FrameKey:
+        """Identifier and data of the frame, computed once, since a late frame is awaited in many ticks."""
+        return key_of(self.frame)
 
     @property
     def is_under_own_id(self) -> bool:
