@@ -15,11 +15,7 @@ from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE
 from mcp_asdf.image_format import image_size
 from mcp_asdf.mirror import INFORMATIVE_G, accuracy_of, estimate
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MAX_ROUND_SIZE, Filter
-from mcp_asdf_tools.crosscheck.crafted_rounds import (
-    ALPHA_ONE,
-    draw_alpha_of_bits,
-    draw_x_hats_at_threshold,
-)
+from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, draw_x_hats_at_threshold
 from mcp_asdf_tools.crosscheck.image_numbers import (
     COUNTER_NAMES,
     MAX_16_BITS,
@@ -28,7 +24,6 @@ from mcp_asdf_tools.crosscheck.image_numbers import (
     places_of_numbers,
 )
 from mcp_asdf_tools.crosscheck.random_values import (
-    MAX_ALPHA_BITS,
     clamp,
     draw_alpha,
     draw_at_edges,
@@ -37,6 +32,7 @@ from mcp_asdf_tools.crosscheck.random_values import (
     draw_sums,
     draw_sums_of_closed_round,
     draw_t,
+    draw_usual_alpha,
 )
 from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, Setup, TableChoice
 
@@ -357,7 +353,7 @@ class ScenarioWriter:
         other_ids = [sender for sender in range(MAX_ID + 1) if sender != self._setup.robot_id]
         senders = rng.sample(other_ids, len(x_hats))
         for sender, x_hat in zip(senders, x_hats, strict=True):
-            self._add_call("receive", sender, x_hat, draw_alpha_of_bits(rng, 1, MAX_ALPHA_BITS))
+            self._add_call("receive", sender, x_hat, draw_usual_alpha(rng))
         self._add_call("settle")  # at which the filter runs
 
     # --- Values ---

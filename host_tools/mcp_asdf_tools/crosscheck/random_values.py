@@ -19,8 +19,6 @@ from mcp_asdf_tools.crosscheck.image_numbers import MAX_32_BITS
 B_HAT_INFORMATIVE_DISTANCE = INFORMATIVE_G // 2
 """Distance of b_hat from 1/2 from which on an observation carries information, in units of 2**-32."""
 
-MAX_ALPHA_BITS = LARGEST_ALPHA_UNITS.bit_length()
-"""Bits of the largest confidence in units of 2**-24, 55."""
 IGNORED_ALPHA_BITS = 0xE0
 """Bits of an alpha word between its shift (5 bits) and its mantissa, which no firmware may evaluate."""
 
@@ -68,13 +66,23 @@ def draw_at_edges(rng: Random, edges: Sequence[int], minimum: int, maximum: int)
     return clamp(rng.choice([beside_edge, beside_edge, off_edge, anywhere]), minimum, maximum)
 
 
+def draw_at_ends(rng: Random, minimum: int, maximum: int) -> int:
+    """Draw a number from ``minimum`` to ``maximum`` as ``draw_at_edges`` does; its edges are these two."""
+    return draw_at_edges(rng, [minimum, maximum], minimum, maximum)
+
+
+def draw_usual_alpha(rng: Random) -> int:
+    """Draw an alpha word as robots send them, for a confidence of any number of bits that a word can hold."""
+    return draw_alpha_of_bits(rng, 1, LARGEST_ALPHA_UNITS.bit_length())
+
+
 def draw_alpha(rng: Random) -> int:
     """Draw an alpha word: in three of five cases one as robots send it, else one at an edge, or any bits.
 
     Any bits are a word of up to 32 of them. Few are a word without confidence, or one with a shift although
     the mantissa is short; and some are bits that must be ignored. A robot never forms such words.
     """
-    usual = draw_alpha_of_bits(rng, 1, MAX_ALPHA_BITS)
+    usual = draw_usual_alpha(rng)
     special = rng.choice(SPECIAL_ALPHAS)
     any_bits = draw_number_of_any_size(rng, 0, 32)
     return rng.choice([usual, usual, usual, special, any_bits])
@@ -113,22 +121,20 @@ def draw_n(rng: Random, t: int, b_hat: int) -> int:
 
 def draw_sums(rng: Random) -> Sums:
     """Draw sums over a round that messages might have. The edges of each are the limits that others leave."""
-    count = draw_at_edges(rng, [1, MAX_ROUND_SIZE], 1, MAX_ROUND_SIZE)
-    x = _draw_up_to(rng, count * ONE)  # where all x_hat are 1
+    count = draw_at_ends(rng, 1, MAX_ROUND_SIZE)
+    x = draw_at_ends(rng, 0, count * ONE)  # where all x_hat are 1
     smallest_alpha = count  # one unit for every message
     largest_alpha = count * LARGEST_ALPHA_UNITS
-    alpha = draw_at_edges(rng, [smallest_alpha, largest_alpha], smallest_alpha, largest_alpha)
+    alpha = draw_at_ends(rng, smallest_alpha, largest_alpha)
     # The sum of alpha x_hat is kept in two parts: with the bits of each alpha from 32 up, and with those
     # below. Either part is largest where all these bits are set, and both together where all x_hat are 1.
     largest_alpha_x = alpha * ONE
-    alpha_x_high = _draw_up_to(rng, min(x * (LARGEST_ALPHA_UNITS >> 32), largest_alpha_x >> 32))
-    alpha_x_low = _draw_up_to(rng, min(x * MAX_32_BITS, largest_alpha_x - (alpha_x_high << 32)))
+    alpha_x_high = draw_at_ends(rng, 0, min(x * (LARGEST_ALPHA_UNITS >> 32), largest_alpha_x >> 32))
+    alpha_x_low = draw_at_ends(rng, 0, min(x * MAX_32_BITS, largest_alpha_x - (alpha_x_high << 32)))
     # The squares are smallest where all x_hat are alike, and largest where each is 0 or 1.
     smallest_x_squared = (x * x + count - 1) // count  # the quotient, rounded up
     largest_x_squared = x * ONE
-    x_squared = draw_at_edges(
-        rng, [smallest_x_squared, largest_x_squared], smallest_x_squared, largest_x_squared
-    )
+    x_squared = draw_at_ends(rng, smallest_x_squared, largest_x_squared)
     return Sums(alpha, alpha_x_low, alpha_x_high, x_squared, x, count)
 
 
@@ -137,13 +143,8 @@ def draw_sums_of_closed_round(rng: Random) -> tuple[int, int, int]:
 
     They are the sum of alpha, and the sum of alpha x_hat in two parts, the lower one first.
     """
-    alpha = _draw_up_to(rng, MAX_ROUND_SIZE * LARGEST_ALPHA_UNITS)
+    alpha = draw_at_ends(rng, 0, MAX_ROUND_SIZE * LARGEST_ALPHA_UNITS)
     largest_alpha_x = alpha * ONE  # where all x_hat are 1
-    alpha_x_low = _draw_up_to(rng, min((1 << 62) - 1, largest_alpha_x))
-    alpha_x_high = _draw_up_to(rng, (largest_alpha_x - alpha_x_low) >> 32)
+    alpha_x_low = draw_at_ends(rng, 0, min((1 << 62) - 1, largest_alpha_x))
+    alpha_x_high = draw_at_ends(rng, 0, (largest_alpha_x - alpha_x_low) >> 32)
     return alpha, alpha_x_low, alpha_x_high
-
-
-def _draw_up_to(rng: Random, maximum: int) -> int:
-    """Draw a number from 0 to ``maximum``, which are its edges."""
-    return draw_at_edges(rng, [0, maximum], 0, maximum)

@@ -36,7 +36,6 @@ from mcp_asdf.robust_filter import (
     q32_from_q24,
     slot_estimate,
 )
-from mcp_asdf_tools.crosscheck.crafted_rounds import draw_alpha_of_bits
 from mcp_asdf_tools.crosscheck.crafted_slots import (
     SLOT_HALF,
     SLOT_INFORMATIVE_DISTANCE,
@@ -47,13 +46,14 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
 )
 from mcp_asdf_tools.crosscheck.random_scenarios import ScenarioWriter, draw_setup
 from mcp_asdf_tools.crosscheck.random_values import (
-    MAX_ALPHA_BITS,
     clamp,
     draw_at_edges,
+    draw_at_ends,
     draw_b_hat,
     draw_n,
     draw_number_of_any_size,
     draw_t,
+    draw_usual_alpha,
 )
 from mcp_asdf_tools.crosscheck.scenario import Scenario
 
@@ -183,7 +183,7 @@ class RobustScenarioWriter(ScenarioWriter):
             "n": robot.n,
             "x_hat": draw_at_edges(rng, [own_position], 0, ONE),
             # Without confidence (0) the robot's own estimate does not vote.
-            "alpha": rng.choice([0, draw_alpha_of_bits(rng, 1, MAX_ALPHA_BITS)]),
+            "alpha": rng.choice([0, draw_usual_alpha(rng)]),
             # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from it.
             "updated": 1,
             **_memory_numbers(robot),
@@ -272,12 +272,10 @@ class RobustScenarioWriter(ScenarioWriter):
         """
         rng = self._rng
         t, n = robot.t, robot.n
-        batch_count = draw_at_edges(rng, [0, t], 0, t)
+        batch_count = draw_at_ends(rng, 0, t)
         if batch_count == t:
             return
-        robot.robust.dispersion = draw_at_edges(
-            rng, [DISPERSION_MIN, DISPERSION_MAX], DISPERSION_MIN, DISPERSION_MAX
-        )
+        robot.robust.dispersion = draw_at_ends(rng, DISPERSION_MIN, DISPERSION_MAX)
         expected_black_count = batch_count * n // t
         deviation = _largest_usual_deviation(robot, batch_count)
         # The batch has no more observations of a colour than the robot has made in all.
