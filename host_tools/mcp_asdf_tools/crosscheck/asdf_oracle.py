@@ -16,7 +16,7 @@ from mcp_asdf_tools.crosscheck.scenario import CallRecord, State
 
 
 def check_asdf_call(record: CallRecord, audit: Audit) -> list[str]:
-    """Check x_bar and x after a call, and b_hat after the end of a round. Return a line for each problem.
+    """Check x_bar and x after a call, and b_hat after the end of a round. Return one line per problem.
 
     A test that the filter had to make is counted in ``audit``, which also collects the error of b_hat.
     """
@@ -27,7 +27,7 @@ def check_asdf_call(record: CallRecord, audit: Audit) -> list[str]:
 
 
 def _check_filter(record: CallRecord, audit: Audit) -> list[str]:
-    """Return a line for each problem of the filter at the end of a round.
+    """Check the filter at the end of a round, and return one line per problem.
 
     b_hat must have been re-estimated, to the right value (eq. 8), if the adaptive filter's test (eq. 12)
     rejects, or if the filter is the one without a test. It must not have been where the filter does not run,
@@ -82,7 +82,7 @@ def _closed_alpha_x(state: State) -> int:
 
 
 def _check_means(state: State) -> list[str]:
-    """Return what is wrong with x_bar and x, a line each. Both are quotients of integers, rounded down.
+    """Check x_bar and x, which are quotients of integers, rounded down. Return one line per wrong value.
 
     x_bar is the mean of the neighbours' x_hat, weighted by their alpha, and x that mean with the robot's own
     x_hat among them. If all weights of a mean are 0, x_bar must be 1/2, and x the robot's own x_hat.

@@ -1,4 +1,4 @@
-"""Checks of single values of a robot's state; each returns a line for every value that is wrong."""
+"""Checks of single values of a robot's state. They return one line per wrong value."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def alpha_units(word: int) -> int:
 
 
 def check_exact(state: State, expected: State) -> list[str]:
-    """Return a line for each field of ``expected`` that has another value in ``state``."""
+    """Compare ``state`` with the fields of ``expected``, and return one line per field that differs."""
     problems = []
     for name, expected_value in expected.items():
         if state[name] != expected_value:

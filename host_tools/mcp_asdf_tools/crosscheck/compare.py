@@ -149,10 +149,10 @@ class Failure:
 
 
 CheckCall = Callable[[CallRecord], list[str]]
-"""Checks a call by the results before and after it, and returns a line for each problem."""
+"""A function that checks a call by the results before and after it, and returns one line per problem."""
 
 CheckScenario = Callable[[Scenario], Failure | None]
-"""Runs a scenario, and returns what is wrong in it."""
+"""A function that runs a scenario, and returns what is wrong in it."""
 
 
 def compare_firmwares(
@@ -185,7 +185,7 @@ def compare_firmwares(
 
 
 def differences(first: CallResult, second: CallResult) -> list[str]:
-    """Return a line for each difference between two results of the same call, with both values.
+    """Compare two results of the same call, and return one line per difference, with both values.
 
     Compared are the outcomes and, where both results have them, the fields of the states and the words of the
     images. An exception that no firmware may raise gets a line even if both have raised it.

@@ -142,7 +142,7 @@ def opposite_end(estimate: int) -> int:
 
 
 def slots_at_test(robot: State, estimates: Sequence[int]) -> SlotsAtTest:
-    """Return these estimates, with all of the robot's state that a test before its next observation needs."""
+    """Return these estimates, and all that a test before the robot's next observation needs of its state."""
     return SlotsAtTest(tuple(estimates), filter_at_test(robot), robot.t, robot.n)
 
 

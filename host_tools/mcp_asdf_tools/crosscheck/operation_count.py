@@ -66,12 +66,12 @@ def count_instructions(action: Callable[[], object]) -> int:
             if count > _MAX_INSTRUCTIONS:
                 raise _CutShortError
         elif event == "call":
-            # Set before the next line, as Python 3.13 sends these events only to a frame that is traced.
+            # Python 3.13 sends events of instructions only if the frame has its trace function when it asks.
             frame.f_trace = trace
             frame.f_trace_opcodes = True  # asks for an event at every instruction of this function
-            frame.f_trace_lines = False  # and for none at its lines
+            frame.f_trace_lines = False  # asks for no events at its lines
             if count == 0:
-                # Python 3.12 sends none before the trace function is set while some frame asks for them.
+                # Python 3.12 sends them only after settrace is called while a frame already asks for them.
                 sys.settrace(trace)
         return trace
 
@@ -188,9 +188,10 @@ def _copy_robot(robot: MirrorRobot) -> MirrorRobot:
 
 
 def find_growth(counts: Counts) -> list[str]:
-    """Return a line for each call that takes more instructions in an axis's upper half than in its lower.
+    """Find the calls that take more instructions in an axis's upper half than in its lower half.
 
-    Calls that were cut short in the upper half are among them. An axis without counts is left out.
+    Returns one line per such call and axis. A call that was cut short in the upper half is among them. An
+    axis without counts is left out.
     """
     problems = []
     for call_name, count_by_axis in counts.items():
@@ -201,9 +202,9 @@ def find_growth(counts: Counts) -> list[str]:
 
 
 def _growth_along(axis: str, count_by_value: dict[int, int]) -> list[str]:
-    """Return one text in a list if the counts of a call are larger in the axis's upper half.
+    """Return a list of one text if the counts of a call are larger in the axis's upper half.
 
-    If they are not, the list is empty. ``count_by_value`` must have a count.
+    If they are not, the list is empty. ``count_by_value`` must have at least one count.
     """
     # Paths through a call differ in length, wherever on the axis they are taken. So the maxima of both halves
     # of the axis are compared, not single counts.

@@ -18,11 +18,11 @@ from mcp_asdf_tools.crosscheck.scenario import CallRecord
 
 
 def check_call(record: CallRecord, audit: Audit) -> list[str]:
-    """Check a call by the states before and after it, and return a line for each problem.
+    """Check a call by the states before and after it, and return one line per problem.
 
-    After every call the invariants are checked, and what depends on the filter, such as x_bar, x and changes
-    of b_hat; and after an observation x_hat and alpha. Errors of results, and events of filters, are added to
-    ``audit``.
+    The invariants are checked after every call, and so is what depends on the filter, such as x_bar, x and
+    changes of b_hat. After an observation x_hat and alpha are checked, too. Errors of results, and events of
+    filters, are added to ``audit``.
     """
     problems = []
     if not record.new_state["holds_invariants()"]:
@@ -34,7 +34,7 @@ def check_call(record: CallRecord, audit: Audit) -> list[str]:
 
 
 def _check_estimate(record: CallRecord, audit: Audit) -> list[str]:
-    """Check x_hat and alpha after an observation, and return a line for each that is out of its bounds.
+    """Check x_hat and alpha after an observation, and return one line per value that is out of its bounds.
 
     Their errors are added to ``audit``.
     """

@@ -267,11 +267,8 @@ class ScenarioWriter:
         self._add_restore(numbers)
 
     def _all_other_senders(self) -> dict[str, int]:
-        """Return numbers of an image by name: those of the senders that were heard in the open round.
-
-        By these it has heard all but itself.
-        """
-        # There is a bit for each id from 0 to 127, in four numbers of 32 bits.
+        """Return numbers of an image, by name, by which all other robots were heard in the open round."""
+        # Ids 0 to 127 have one bit each, in four numbers of 32 bits.
         masks = {f"heard_{index}": MAX_32_BITS for index in range(4)}
         robot_id = self._setup.robot_id
         masks[f"heard_{robot_id // 32}"] ^= 1 << (robot_id % 32)

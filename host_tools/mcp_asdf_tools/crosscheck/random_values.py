@@ -79,8 +79,9 @@ def draw_usual_alpha(rng: Random) -> int:
 def draw_alpha(rng: Random) -> int:
     """Draw an alpha word: in three of five cases one as robots send it, else one at an edge, or any bits.
 
-    Any bits are a word of up to 32 of them. Few are a word without confidence, or one with a shift although
-    the mantissa is short; and some are bits that must be ignored. A robot never forms such words.
+    The word of any bits has up to 32 of them. If they are few, it has no confidence, or a shift although its
+    mantissa is short. If they are many, some of them may be bits that must be ignored. A robot never forms
+    such words.
     """
     usual = draw_usual_alpha(rng)
     special = rng.choice(SPECIAL_ALPHAS)

@@ -118,7 +118,7 @@ class CrosscheckReport:
         return "\n".join(lines)
 
     def _memory_line(self) -> str:
-        """Return a line with the bytes of a table, and with those of a saved robot with each filter."""
+        """Return a line that says how many bytes a table takes, and a saved robot with each filter."""
         image_sizes = []
         for checked_filter in CHECKED_FILTERS:
             size = max(self.storage[checked_filter.images_key].values())
@@ -128,7 +128,7 @@ class CrosscheckReport:
         return f"memory: 12 + 4 q bytes for a table, {', '.join(image_sizes)}"
 
     def _calls_line(self) -> str:
-        """Return a line with the numbers of calls and scenarios and the seed, and with any interruption."""
+        """Return a line that states the calls, scenarios and seed of the check, and an interruption."""
         result = self.result
         interruption = ", interrupted" if result.interrupted else ""
         return (

@@ -53,7 +53,7 @@ class Decision(Enum):
 
 
 def check_robust_call(record: CallRecord, audit: Audit) -> list[str]:
-    """Return a line for each problem of the filter's memory, of x_bar and x, and of b_hat after a round.
+    """Check x_bar, x and the filter's memory, and after a round b_hat. Return one line per problem.
 
     These events are counted in ``audit``:
         vote, own vote: An estimate in a slot was a vote, or the robot's own estimate.
@@ -69,7 +69,7 @@ def check_robust_call(record: CallRecord, audit: Audit) -> list[str]:
 
 
 def _check_means(state: State) -> list[str]:
-    """Return what is wrong with x_bar, x and beta, a line each.
+    """Check x_bar, x and beta, and return one line per wrong value.
 
     x_bar and x are the centre of the votes, rounded down, and beta is 0. Without any vote x_bar is 1/2 and x
     is the robot's own x_hat.
@@ -83,11 +83,11 @@ def _check_means(state: State) -> list[str]:
 
 
 def _check_filter(record: CallRecord, audit: Audit) -> list[str]:
-    """Return a line for each problem of the filter at the end of a round.
+    """Check the filter at the end of a round, and return one line per problem.
 
     If the filter does not run, or has too few estimates for a test, b_hat and the robot's counter of tests
-    must be as before; the latter is counted in ``audit``. Otherwise that counter must be one higher, and
-    b_hat must be what follows from the test.
+    must be as before. Otherwise that counter must be one higher, and b_hat must be what follows from the
+    test. Runs with too few estimates are counted in ``audit``.
     """
     if not record.had_to_run_filter:
         return _check_nothing_tested_or_updated(record)
@@ -103,10 +103,10 @@ def _check_filter(record: CallRecord, audit: Audit) -> list[str]:
 
 
 def _check_b_hat_after_test(record: CallRecord, estimates: Sequence[Fraction], audit: Audit) -> list[str]:
-    """Return a line for each problem of b_hat after a test against these estimates.
+    """Check b_hat after a test against these estimates, and return one line per problem.
 
-    b_hat must have been re-estimated, to the right value, if the test rejects and the robot has too few
-    supporters, and must be the initial one if not. Where rounding may decide which, b_hat is not checked. The
+    If the test rejects and the robot has too few supporters, b_hat must have been re-estimated, to the right
+    value. If not, it must be the initial b_hat. Where rounding may decide which, b_hat is not checked. The
     test and its decision are counted in ``audit``.
     """
     audit.tests += 1
@@ -121,17 +121,17 @@ def _check_b_hat_after_test(record: CallRecord, estimates: Sequence[Fraction], a
 
 
 def _check_nothing_tested_or_updated(record: CallRecord) -> list[str]:
-    """Check that the filter has neither tested nor updated b_hat, and return a line for each problem."""
+    """Check that the filter has neither tested nor updated b_hat, and return one line per problem."""
     expected = {name: record.old_state[name] for name in ("b_hat()", "tests")}
     problems = check_exact(record.new_state, expected)
     return problems + check_whether_updated(record.is_updated, expected=False)
 
 
 def _check_initial_b_hat(record: CallRecord, audit: Audit) -> list[str]:
-    """Check that b_hat is the initial one after a test, and return a line for each problem.
+    """Check that b_hat has its initial value after a test, and return one line per problem.
 
-    The call must have reported an update if b_hat was another one before, and must not have if it was not. A
-    return to the initial b_hat is counted in ``audit``.
+    If b_hat had another value before, the call must have reported an update, and this is counted as a return
+    in ``audit``. If b_hat had its initial value already, the call must have reported no update.
     """
     initial_b_hat = record.new_state["robust_initial_b_hat"]
     is_return = record.old_state["b_hat()"] != initial_b_hat
@@ -142,7 +142,7 @@ def _check_initial_b_hat(record: CallRecord, audit: Audit) -> list[str]:
 
 
 def _check_memory(record: CallRecord, audit: Audit) -> list[str]:
-    """Check what a call has done to the memory of the robust filter, and return a line for each problem.
+    """Check what a call has done to the memory of the robust filter, and return one line per problem.
 
     The memory consists of the estimates in the slots, the summary of the votes, and the batch of observations
     with their dispersion; what a call must not change there must be as before. After a ``restore`` or
@@ -189,10 +189,10 @@ def _slot_after_message(record: CallRecord) -> State:
 
 
 def _batch_after_halving(record: CallRecord) -> State:
-    """Return the fields of the batch that begins when an observation halves t and n, by name.
+    """Return the fields, by name, of a batch that begins because an observation has halved t and n.
 
     The old batch ends there, as its first counts could not be compared with the halved ones. The result is
-    empty if the call has not halved them.
+    empty if the call has not halved t and n.
     """
     if not record.is_observation:
         return {}
@@ -281,8 +281,8 @@ def _expected_decision(
 ) -> Decision:
     """Return what the filter's test of a robot in this state must have decided.
 
-    ``centre`` and ``spread`` are those of the estimates in its slots. Only if the test rejects does it matter
-    whether enough of the estimates support the robot, which are more than two in five.
+    ``centre`` and ``spread`` are those of the estimates in the robot's slots. If the test rejects, the
+    decision also depends on whether more than two in five of these estimates support the robot.
     """
     initial_b_hat = Fraction(state["robust_initial_b_hat"], _B_HAT_UNITS)
     dispersion = Fraction(state["robust_dispersion"], _DISPERSION_UNITS)

@@ -481,11 +481,9 @@ def _limits_by_name(robot: State) -> dict[str, tuple[int, ...]]:
 
 
 def _largest_usual_deviation(robot: State, batch_count: int) -> int:
-    """Return how far the number of black observations of a batch may be off the expected one, at most.
+    """Return the largest deviation of a batch's number of black observations from the expected number.
 
-    If it is further off, the batch is an outlier.
-
-    ``batch_count`` of the robot's observations are in the batch.
+    With a larger deviation the batch is an outlier. ``batch_count`` of the robot's observations are in it.
     """
     # A batch is an outlier if the square of its deviation is more than 12 times the dispersion times the
     # variance, which is count * n / t * (1 - n / t).
@@ -497,7 +495,7 @@ def _largest_usual_deviation(robot: State, batch_count: int) -> int:
 
 
 def _black_share_of_tie(robot: State, estimate: int, all_estimates: tuple[int, ...]) -> int:
-    """Return the share of black that a robot must have observed for a tie of an estimate, in units of 2**-32.
+    """Return the observed share of black with which an estimate is in a tie, in units of 2**-32.
 
     An estimate supports the robot if the share that it predicts by the initial b_hat is nearer to the
     observed one than to the share that the centre of all estimates predicts. In a tie it is exactly as far
