@@ -45,19 +45,19 @@ class Parser(argparse.ArgumentParser):
         ``--seed``. Raises UsageError, with the nearest option's name, for an argument that belongs to no
         option.
         """
-        self._typed_options.clear()  # of what was parsed before
+        self._typed_options = set()  # to which _get_values adds them
         args, unknown_arguments = self.parse_known_args(typed_arguments)
         if unknown_arguments:
             self._refuse_unknown(unknown_arguments)
         args.command_line = [self.prog, *typed_arguments]
-        args.typed_options = {*self._typed_options}
+        args.typed_options = self._typed_options
         return args
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
-        """Return the value of an argument from what was typed for it, and note it if it is an option.
+        """Return the value of an argument from what was typed for it. If it is an option, note its long name.
 
-        argparse calls this once for every option that it finds, whether it is typed as ``-c can0``,
-        ``-ccan0`` or ``--channel=can0``. So argparse alone decides what is an option and what a value.
+        argparse calls this for every option that it finds, whether it is typed as ``-c can0``, ``-ccan0`` or
+        ``--channel=can0``. So argparse alone decides what is an option and what is a value.
         """
         if action.option_strings:
             long_name = action.option_strings[-1]  # the short one is declared first
