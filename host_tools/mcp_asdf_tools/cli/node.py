@@ -215,10 +215,11 @@ def _run_on_bus(
 
 @contextmanager
 def _stopping_at_signal_or_end_of_input(until_eof: bool) -> Iterator[Callable[[], bool]]:
-    """Context manager that yields a function, which returns whether the run should stop.
+    """Context manager that yields a function, by which a run finds out whether it should stop.
 
-    The function returns True once a signal has come, which interrupts nothing by itself. With ``until_eof``
-    it also returns True once the standard input has ended, and UsageError is raised if there is none.
+    The function returns True once a signal has come. The signal itself interrupts nothing. With ``until_eof``
+    the function also returns True once the standard input has ended, and if there is no standard input, the
+    context manager raises UsageError.
     """
     with stopping() as was_interrupted:
         input_descriptor = standard_input_descriptor() if until_eof else None

@@ -161,7 +161,7 @@ def _report(
 
 
 def _format_counts(verdict: ReplayVerdict) -> str:
-    """Return a line for each kind of frame: the number of frames, and what they are."""
+    """Return one line per kind of frame, with the number of frames and a description of the kind."""
     counts = (
         (verdict.reproduced, "broadcasts reproduced bit for bit"),
         (verdict.falsified, "broadcasts that a fault had given other values"),

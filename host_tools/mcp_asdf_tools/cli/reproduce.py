@@ -129,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_verdicts(claims: Sequence[Mapping[str, Any]]) -> None:
-    """Print a line for each claim: the verdict on it, its part of the study, and its text."""
+    """Print one line per claim, with the claim's verdict, its part of the study, and its text."""
     for claim in claims:
         verdict = claim["verdict"] or "too short"  # as trials are with --quick, which have no verdicts
         subject = claim["part"] or "equations"  # which are no part of the study
@@ -172,11 +172,11 @@ def firmware_and_filter_of_user(args: argparse.Namespace) -> tuple[str, str | No
 
 
 def experiments_by_store(args: argparse.Namespace, study_size: StudySize) -> dict[StoreKey, list[Experiment]]:
-    """Return the experiments of each file of results, by its key.
+    """Return a dictionary from the key of a file of results to the experiments of that file.
 
-    Each chosen part of the study has a file, in the paper's order. If the user has chosen a firmware or a
-    filter, each part has a second file with that choice; these files come last. Raises UsageError for a wrong
-    choice, and for a size of the study that is out of range.
+    Each chosen part of the study has one file, in the paper's order. If the user has chosen a firmware or a
+    filter, each part has a second file with that choice. The second files come last. Raises UsageError for
+    a wrong choice, and for a size of the study that is out of range.
     """
     from mcp_asdf_tools.studies.study_results import users_name_of
 

@@ -99,7 +99,7 @@ def _describe_trial_count(row: dict[str, Any]) -> str:
 
 
 def _describe_score(quartiles: dict[str, float]) -> str:
-    """Return a text with the median of a score, and its other two quartiles in brackets."""
+    """Format the median of a score, followed by its other two quartiles in brackets."""
     return f"{quartiles['median']:.2f} [{quartiles['q25']:.2f}, {quartiles['q75']:.2f}]"
 
 

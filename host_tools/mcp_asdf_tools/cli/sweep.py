@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_command(args: argparse.Namespace, experiments: Sequence[Experiment]) -> None:
-    """Print the command that makes the same run again, with a seed if all experiments have the same."""
+    """Print the command that makes the same run again. It has a seed if all experiments have the same one."""
     seeds = {experiment.seed for experiment in experiments}
     if len(seeds) == 1:
         print_again(args, seed=seeds.pop())

@@ -83,7 +83,7 @@ class Bench(ControllerLink):
     def encode_estimates(
         self, estimates: Sequence[NeighbourEstimate], senders: Sequence[int] | None = None
     ) -> list[can.Message]:
-        """Return a frame for each of these estimates, in order.
+        """Encode these estimates, and return their frames in the same order.
 
         ``senders`` are as many ids as there are estimates, and may name a robot several times; by default
         different robots are drawn. Every sender numbers its frames by a transfer_id that goes on from one
@@ -191,8 +191,8 @@ class Bench(ControllerLink):
     def _run_round(self, frames: Sequence[can.Message]) -> None:
         """Run a round without observations, which begins now.
 
-        The first half of the frames is sent in its first tick, and the second half in its last tick. In a
-        round of a single tick all of them are sent in that.
+        The first half of the frames is sent in the first tick, and the second half in the last tick. If the
+        round has a single tick, all frames are sent in it.
         """
         ticks_in_round = self.setup.comms_period
         if ticks_in_round == 1:

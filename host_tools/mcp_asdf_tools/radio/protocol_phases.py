@@ -332,9 +332,9 @@ def _send_changed_command(bench: Bench, action: Action, change_command: ChangeFr
 
 
 def _unusual_commands(bench: Bench) -> dict[str, ChangeFrame]:
-    """Return functions that make a command unusual, by name. It must be obeyed all the same.
+    """Return functions by name. Each makes a command unusual in such a way that it must still be obeyed.
 
-    The node from which a command of another node comes is drawn.
+    One of them lets a command come from another node, which is drawn here.
     """
     write_target = partial(_write_number, first_byte=_TARGET_BYTE_OF_COMMAND)
     write_spare_byte = partial(_write_number, first_byte=_SPARE_BYTE_OF_COMMAND)

@@ -43,7 +43,7 @@ _FIRST_SLOTS = (15, 0, 31, 16, 7, 8, 23, 24, 1, 30, 12, 19)
 _FILLING_ORDER = (*_FIRST_SLOTS, *(slot for slot in range(SLOTS) if slot not in _FIRST_SLOTS))
 """All slots in the order in which estimates are sent to them."""
 _ROUNDS_OF_ALL_VOTES = SLOTS + 1
-"""Number of rounds in which every slot and then the robot's own estimate has a vote."""
+"""Number of rounds after which every slot, and then the robot's own estimate, has had a vote."""
 
 _X_HAT_PER_SLOT_UNIT = q23_from_q16(1)
 """Units of x_hat, 2**-23, in one unit of a slot's estimate, 2**-16."""
@@ -475,7 +475,7 @@ def _predict_black_share(bench: Bench, fill_ratio: float) -> float:
 
 
 def _most_contradicting_estimate(bench: Bench) -> int:
-    """Return the estimate, 0 or the largest of a slot, that contradicts the robot's observations most."""
+    """Return 0 or the largest estimate of a slot, whichever contradicts the robot's observations more."""
     return opposite_end(agreeing_estimate(bench.model_state))
 
 

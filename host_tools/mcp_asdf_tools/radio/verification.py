@@ -165,10 +165,10 @@ def _choose_phases(settings: RadioSettings, phases: Sequence[Phase]) -> list[Pha
 
 
 def _schedule_faults(phases: Sequence[Phase], ticks: int) -> list[Fault]:
-    """Return the faults of all phases. Each of them begins and stops with its phase.
+    """Return the faults of all phases. Each fault begins and stops with its phase.
 
-    A fault starts and stops at ticks of the neighbours, which have ``ticks`` ticks in each phase among
-    neighbours, and none in other phases.
+    It does so at ticks that the neighbours count. They have ``ticks`` ticks in a phase among neighbours, and
+    none in any other phase.
     """
     # The other phases have a function that plays them.
     phases_among_neighbours = [phase for phase in phases if phase.play is None]
@@ -319,7 +319,7 @@ class Verification:
     def _fill_in_figures(self, result: PhaseResult) -> None:
         """Set the numbers of ticks, injected faults and equal frames of a phase that has just ended.
 
-        The bench counts them for all phases together, so that those of the phases before are subtracted.
+        The bench counts over all phases, so the numbers of the earlier phases are subtracted from its counts.
         """
         bench, phases = self.bench, self.verdict.phases
         injected = sum(figures["injected"] for figures in bench.neighbours.faults.figures())
@@ -370,7 +370,7 @@ _HEADINGS = {
 def details(verdict: ControllerVerdict) -> str:
     """Return a table of the phases, and lists of what was not exercised or not checked, in Markdown.
 
-    The table has a row for each phase: its name, ticks, injected faults, equal frames, outcome and fault.
+    The table has one row per phase, with its name, ticks, injected faults, equal frames, outcome and fault.
     Figures that are 0 and faults that are None are left blank.
     """
     lines = _format_phases(verdict.phases)
@@ -380,7 +380,7 @@ def details(verdict: ControllerVerdict) -> str:
 
 
 def _format_phases(phases: Sequence[PhaseResult]) -> list[str]:
-    """Return the lines of a Markdown table, its columns aligned, with a row for each phase.
+    """Return the lines of a Markdown table with aligned columns. It has one row per phase.
 
     The columns are name, ticks, injected faults, equal frames, outcome and fault.
     """

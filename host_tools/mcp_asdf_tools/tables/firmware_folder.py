@@ -195,7 +195,7 @@ def _check_unchanged(folder: Path, names: Iterable[str], new_texts: Mapping[str,
 
 
 def _format_checksums(texts: Mapping[str, str]) -> str:
-    """Return the checksums of the files with these texts in sha256sum's format, in lines sorted by name."""
+    """Compute the checksums of texts, and return them in sha256sum's format, in lines sorted by name."""
     return "".join(f"{_checksum(texts[name].encode())}  {name}\n" for name in sorted(texts))
 
 

@@ -159,9 +159,10 @@ def read_frame_log(
 def _read_timed_frames(
     log: Path, channel: str | None, summary: LogSummary
 ) -> Iterator[tuple[can.Message, float]]:
-    """Yield the frames of a log, each with its time: the seconds since the first frame, which never go back.
+    """Yield the frames of a log together with their times.
 
-    Raises UsageError if the log cannot be read, or if its times span more than a year.
+    A time is in seconds since the first frame, and never less than the time before it. Raises UsageError if
+    the log cannot be read, or if its times span more than a year.
     """
     first_time: float | None = None
     now = 0.0

@@ -140,7 +140,7 @@ def encode_states(states: Sequence[State], description: RunDescription) -> dict[
 
 
 def _encode_quantities(states: Sequence[State]) -> list[bytes]:
-    """Return the series of x, x_hat, b_hat and b, each with the values of all robots in all states."""
+    """Return four series: x, x_hat, b_hat and b. A series has the values of all robots in all states."""
     values = np.stack([state.values for state in states])  # of shape (states, quantities, N)
     return [_encode_series(values[:, index]) for index in range(len(QUANTITIES))]
 

@@ -28,9 +28,9 @@ _MAX_UNFILTERED_ROBOT_STEPS = 20_000_000
 def describe_swarm(settings: SwarmSettings) -> RunDescription:
     """Return the description of a swarm's run on an emulated bus, which is trial 0 of its world.
 
-    The description has the errors without a filter only if the swarm has neither faults nor refused ids.
-    They are those of another run, computed here, which has none of these either: for other swarms it would be
-    no fair comparison. Raises UsageError if the arena cannot be made.
+    If the swarm has neither faults nor refused ids, the description has the errors without a filter. They
+    come from another run, which is computed here. That run has no faults and refuses no ids, so it would be
+    no fair comparison for other swarms. Raises UsageError if the arena cannot be made.
     """
     faults = tuple((str(fault), fault.start, fault.stop) for fault in settings.faults)
     description = replace(_describe_emulated_run(settings, trial=0), faults=faults)
@@ -42,7 +42,7 @@ def describe_swarm(settings: SwarmSettings) -> RunDescription:
 def describe_trial(experiment: Experiment, trial: int) -> RunDescription:
     """Return the description of an experiment's trial, with the errors without a filter.
 
-    These are computed here by another run. Raises UsageError if the arena cannot be made.
+    These errors come from another run, which is computed here. Raises UsageError if the arena cannot be made.
     """
     description = _describe_emulated_run(experiment, trial)
     return replace(description, unfiltered_errors=_compute_unfiltered_errors(experiment, trial))

@@ -205,7 +205,7 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
 
 
 def _recorded_states(trials: Trials, trial: int) -> Iterator[State]:
-    """Yield the recorded states of a trial; if they are too many for a page, only some at equal distances.
+    """Yield the recorded states of a trial. If they are too many for a page, yield some at equal distances.
 
     The true accuracy of all sensors is a parameter of the experiment. Raises UsageError if there is no such
     trial.

@@ -79,7 +79,7 @@ class Stream(NamedTuple):
     robots: int
 
     def draw_words(self, steps: int, first_step: int = 0) -> NDArray[np.uint32]:
-        """Return the random words of 32 bits for ``steps`` steps from ``first_step`` on, by step and robot.
+        """Return random words of 32 bits for ``steps`` steps from ``first_step`` on.
 
         The shape is (steps, robots). A step's words do not depend on the steps that are drawn with it. Whole
         blocks are drawn, and the words before the first step and after the last one left out.
@@ -90,9 +90,9 @@ class Stream(NamedTuple):
         return words[words_to_skip : words_to_skip + steps].astype(np.uint32)
 
     def _draw_blocks(self, first_block: int, end_block: int) -> WordArray:
-        """Return the random words of blocks ``first_block`` .. ``end_block - 1``, by step and robot.
+        """Return the random words of blocks ``first_block`` .. ``end_block - 1``.
 
-        A block has the words of four consecutive steps, so the shape is (4 blocks, robots).
+        A block has the words of four consecutive steps. So the result has the shape (4 * blocks, robots).
         """
         blocks = np.arange(first_block, end_block, dtype=np.uint64)
         robots = np.arange(self.robots, dtype=np.uint64)
@@ -106,10 +106,10 @@ class Stream(NamedTuple):
         return words_by_block.reshape(-1, self.robots)
 
     def draw_uniforms(self, steps: int, first_step: int = 0) -> NDArray[np.float64]:
-        """Return random numbers in (0, 1) for ``steps`` steps from ``first_step`` on, by step and robot.
+        """Return random numbers in (0, 1) for ``steps`` steps from ``first_step`` on.
 
-        The shape is (steps, robots). Each is the middle of one of 2**32 equal intervals, which a random word
-        chooses.
+        The shape is (steps, robots). Each number is the middle of one of 2**32 equal intervals, which a
+        random word chooses.
         """
         random_words = self.draw_words(steps, first_step)
         # Half a unit keeps out 0 and 1, of which a logarithm or a quantile may be infinite.

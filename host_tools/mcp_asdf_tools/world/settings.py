@@ -287,7 +287,7 @@ def _check_neighbours_of_many(settings: WorldSettings) -> None:
         return
     if settings.topology == "graph":
         return  # Graph.check has counted the neighbours already.
-    # Every other topology is refused. What follows makes the message.
+    # Every other topology is refused. The lines below compose the message.
     if settings.topology == "fully-connected":
         neighbour_count = settings.robots - 1
         reason = (

@@ -104,9 +104,10 @@ class World:
         )
 
     def _has_observation(self, first_step: int, steps: int) -> NDArray[np.bool_]:
-        """Return for ``steps`` steps from ``first_step`` on whether robots observe in them, shape (steps,).
+        """Return an array with one value per step, which says whether robots observe in this step.
 
-        They observe at the end of every period: with period 3 in the third step, the sixth, and so on.
+        There are ``steps`` steps, the first of which is ``first_step``. Robots observe at the end of every
+        period: with period 3 in the third step, the sixth, and so on.
         """
         step_numbers_from_1 = np.arange(first_step, first_step + steps) + 1
         observes: NDArray[np.bool_] = step_numbers_from_1 % self.settings.observation_period == 0

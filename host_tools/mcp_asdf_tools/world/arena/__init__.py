@@ -29,8 +29,9 @@ _KIND_OF_MEMBER: dict[str, type[np.generic]] = {
     "wheels": np.uint8,
     "avoids": np.uint8,
 }
-"""Types of the members of the C struct that have a value for each robot. (x, y) is its position, and (cx, cy)
-its heading."""
+"""Members of the C struct that are arrays with one value per robot, and the types of these values.
+
+The position of a robot is (x, y), and its heading is (cx, cy)."""
 
 
 @dataclass(frozen=True, eq=False)
