@@ -47,7 +47,7 @@ def describe_options() -> list[str]:
 
 
 def describe_library(module: ModuleType) -> list[str]:
-    """Return a line for each default of a function or class of a module, such as "Config.memory 2147483648".
+    """Return one line per default of a module's functions and classes, such as "Config.memory 2147483648".
 
     Those of Experiment and SwarmSettings are left out: options with the same defaults are made of them.
     """

@@ -66,7 +66,7 @@ def test_without_flawed_robots_no_robot_changes_its_estimated_accuracy_by_defaul
     ],
 )
 def test_robots_are_described_by_the_filters_they_have(configs: list[Config], description: str) -> None:
-    """For example two robots that both have the filter OFF: "no filter: no robot recalibrates"."""
+    """Two robots that both have the filter OFF, for example, are "no filter: no robot recalibrates"."""
     assert describe_filters(config.filter for config in configs) == description
 
 

@@ -257,7 +257,7 @@ NEIGHBOUR_MATRIX = np.array(
     ids=["pairs", "numpy integers", "array of pairs", "undirected", "directed", "matrix"],
 )
 def test_a_graph_may_be_given_as_pairs_as_arrays_or_as_an_object_of_networkx(graph: Any, edges: str) -> None:
-    """For example ``[(0, 1), (1, 2)]``, which becomes the text "0 1; 1 2".
+    """The pairs ``[(0, 1), (1, 2)]``, for example, become the text "0 1; 1 2".
 
     "0 > 1" is a link of one direction.
     """
@@ -270,7 +270,7 @@ def test_a_graph_may_be_given_as_pairs_as_arrays_or_as_an_object_of_networkx(gra
     ids=["number", "triple", "letters", "matrix that is not square", "id of no robot"],
 )
 def test_an_object_that_is_no_graph_of_four_robots_is_refused(graph: Any) -> None:
-    """For example the number 5, or a link to robot 200, raises a UsageError."""
+    """The number 5, or a link to robot 200, for example, raises a UsageError."""
     with pytest.raises(UsageError):
         small_experiment(topology="graph", graph=graph)
 

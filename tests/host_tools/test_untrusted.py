@@ -203,7 +203,7 @@ def is_one_short_line(message: str) -> bool:
 
 @pytest.mark.parametrize("name", PARSERS)
 def test_a_valid_file_of_every_format_is_read(name: str, tmp_path: Path) -> None:
-    """For example a table, a log, results or a file of experiments, which is read without an error."""
+    """A table, a log, results and a file of experiments, among others, are read without an error."""
     parser = PARSERS[name]
     refusal = read_or_refuse(parser, tmp_path / f"file{parser.suffix}", parser.make_valid())
     assert refusal is None

@@ -26,9 +26,9 @@ OF_THE_INSTALLER = {"INSTALLER", "REQUESTED", "RECORD", "direct_url.json", "uv_c
 
 
 def dependencies() -> dict[str, set[str]]:
-    """Return the names of the packages that each package needs, by its name.
+    """Return a dictionary from a package's name to the names of the packages that it needs.
 
-    The packages are the project with all its extras, and all that it needs directly or indirectly.
+    Its keys are the project with all its extras, and all packages that it needs directly or indirectly.
     """
     names_by_package = dict[str, set[str]]()
     waiting = {(NAME, frozenset(metadata.metadata(NAME).get_all("Provides-Extra") or ()))}
@@ -44,9 +44,9 @@ def dependencies() -> dict[str, set[str]]:
 
 
 def needs_of(package: str, extras: frozenset[str]) -> set[tuple[str, frozenset[str]]]:
-    """Return what a package with some extras needs.
+    """Return the packages that a package with these extras needs.
 
-    This is a set of the names of other packages, each with those of its extras that are needed.
+    A needed package is a pair of its name and those of its own extras that are needed.
     """
     needs = set()
     for text in metadata.requires(package) or ():

@@ -114,6 +114,6 @@ def test_convert_writes_nothing_if_one_of_the_files_is_damaged(trials_folder: Pa
 def test_convert_refuses_wrong_files_and_options_with_the_reason(
     wrong_options: str, expected_message: str, capsys: Capture
 ) -> None:
-    """For example ``data --output theirs.csv``: "choose a name that ends in .parquet"."""
+    """The reason for ``data --output theirs.csv`` is "choose a name that ends in .parquet", for example."""
     assert main(["convert", *wrong_options.split()]) == 2
     assert expected_message in capsys.readouterr().err

@@ -70,7 +70,7 @@ def test_mcp_asdf_without_arguments_prints_the_list_of_commands_as_an_error(caps
 
 
 def test_version_prints_the_program_and_three_numbers(capsys: Capture) -> None:
-    """For example "mcp-asdf 1.2.3". A mark of a version before a release may follow, as in "1.2.3rc1"."""
+    """It may print "mcp-asdf 1.2.3". A mark of a version before a release may follow, as in "1.2.3rc1"."""
     assert cli.main(["--version"]) == 0
     assert re.fullmatch(r"mcp-asdf \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
@@ -121,7 +121,7 @@ def program_named_by_errors(line: str) -> str:
 def test_a_mistake_in_a_command_line_is_reported_in_two_lines(
     wrong_line: str, expected_message_end: str, capsys: Capture
 ) -> None:
-    """For example, of ``swarm --fault los=0.1``.
+    """The lines about ``swarm --fault los=0.1``, for example, are these.
 
     mcp-asdf swarm: error: fault 'los=0.1': no kind is called 'los'; did you mean loss?
     See 'mcp-asdf swarm --help'.
@@ -382,14 +382,14 @@ MISSING_MODULES_BY_COMMAND_LINE = {
     "reproduce --quick": "matplotlib",
     "swarm --firmware reference --log reference.log": "scipy",
 }
-"""Command lines that need the extra "study", each with the module of it that is missing."""
+"""Command lines that need the extra "study", and the module of that extra that each of them lacks."""
 
 
 @pytest.mark.slow
 def test_commands_whose_libraries_are_not_installed_say_how_to_install_them_and_write_no_file(
     tmp_path: Path,
 ) -> None:
-    """For example ``simulate`` needs pyarrow. The libraries belong to the extra "study".
+    """One of the commands is ``simulate``, which needs pyarrow. The libraries belong to the extra "study".
 
     Each command prints two lines, and the second one names --help.
     """
@@ -419,7 +419,7 @@ def test_commands_whose_libraries_are_not_installed_say_how_to_install_them_and_
 def test_a_function_whose_library_is_not_installed_raises_an_error_that_says_how_to_install_it(
     call: str,
 ) -> None:
-    """For example ``read_table``, which needs pyarrow. The error is the last line that Python prints.
+    """One function is ``read_table``, which needs pyarrow. The error is the last line that Python prints.
 
     HIDING is a piece of program that hides such libraries.
     """
@@ -569,7 +569,7 @@ LINES_AND_OPTIONS_IN_FRONT = [
     ("sweep --seed=1 grid.toml --workers 1", ""),
     ("sweep seeds.toml --workers 1", ""),  # --seed would replace both seeds of the file
 ]
-"""Command lines, each with the options that a command adds to it when it prints the line to run again."""
+"""Command lines, and the options that a command adds to one when it prints the line to run again."""
 
 
 @pytest.fixture
@@ -644,7 +644,7 @@ def test_a_command_logs_nothing_without_the_option_v(capsys: Capture) -> None:
 
 
 def test_v_logs_versions_first_then_the_command_line_and_at_last_the_exit_code(capsys: Capture) -> None:
-    """For example "INFO mcp_asdf_tools.cli: exit code 0 after 0.1 s"."""
+    """The last message is "INFO mcp_asdf_tools.cli: exit code 0 after 0.1 s", for example."""
     first_message, second_message, *_, last_message = run_swarm_and_return_log("-v", capsys=capsys)
     assert first_message.startswith("INFO mcp_asdf_tools.cli: mcp-asdf "), "and its version"
     assert second_message.startswith("INFO mcp_asdf_tools.cli: command line: mcp-asdf swarm --robots 3")

@@ -94,7 +94,7 @@ def end_by_signal(process: subprocess.Popen[str], number: signal.Signals) -> str
 def test_a_signal_at_any_time_ends_a_command_with_the_exit_code_of_the_signal_or_of_success(
     line: str, signal_number: signal.Signals, exit_code_at_work: int | None, tmp_path: Path
 ) -> None:
-    """For example ``node``, which succeeds when it is asked to end at work, unless it is still starting.
+    """One command is ``node``, which succeeds when it is asked to end at work, unless it is still starting.
 
     The signal comes at random in the first half second in which the command handles it. ``exit_code_at_work``
     is 0 for such commands, and None for those that are then interrupted, too.

@@ -308,7 +308,7 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
 def test_view_plot_and_swarm_refuse_what_they_cannot_show_in_two_lines_and_write_no_file(
     refused_line: str, expected_reason: str, capsys: Capture
 ) -> None:
-    """For example ``view run.log --export out.pdf``: "choose a name that ends in .html".
+    """The reason for ``view run.log --export out.pdf`` is "choose a name that ends in .html", for example.
 
     The pages and pictures that these commands would write are called out.html or out.svg.
     """

@@ -166,7 +166,7 @@ def test_a_check_prints_the_bytes_that_tables_and_saved_robots_take(
 def test_a_check_prints_how_often_each_event_of_the_robust_filter_happened(
     check_of_500_calls: CommandResult,
 ) -> None:
-    """For example "the robust filter: 17 vote, 4 own vote"."""
+    """The line is such as "the robust filter: 17 vote, 4 own vote"."""
     number_and_event = r"\d+ [a-z ]+"
     line = rf"^the robust filter: ({number_and_event}, )*{number_and_event}$"
     assert re.search(line, check_of_500_calls.output, re.MULTILINE)

@@ -178,7 +178,7 @@ def described_columns(results_path: Path) -> dict[str, dict[str, str]]:
 def test_the_metadata_of_results_give_every_column_a_meaning(
     described_columns: dict[str, dict[str, str]], results_path: Path
 ) -> None:
-    """Metadata have an entry for each column, in the order of columns. A meaning is a text."""
+    """Metadata have one entry per column, in the order of columns. A meaning is a text."""
     assert list(described_columns) == pq.read_schema(results_path).names
     for column in described_columns.values():
         assert column["meaning"] != ""
@@ -383,7 +383,7 @@ def with_column(name: str, values: object) -> pa.Table:
 
 
 def damaged_tables() -> Iterator[tuple[pa.Table, str]]:
-    """Yield tables with one thing wrong, each with words that the error must contain."""
+    """Yield pairs of a table with one thing wrong and the words that the error about it must contain."""
     table = valid_results_table()
     yield pa.table({"k": [1]}), "holds no results"
     yield table.slice(0, 0), "holds no trials; run mcp-asdf sweep again"
@@ -423,7 +423,7 @@ def tables_with_damaged_column(table: pa.Table, name: str) -> Iterator[tuple[pa.
 
 
 def damages_of_lists(lists: list[Any], *, is_record: bool) -> Iterator[list[Any]]:
-    """Yield the lists of a column in several damaged versions: one list too short, gaps in all, or all empty.
+    """Yield damaged versions of the lists of a column: one list too short, gaps in all, or all empty.
 
     A record is a list of lists, one per step. It is also damaged in two ways in the last step alone.
     """

@@ -166,7 +166,7 @@ def observe_run(name: str, config: dict[str, Any], phases: Sequence[Phase]) -> O
 
 
 def describe_run(run: ObservedRun) -> Iterator[str]:
-    """Yield a line for each phase: its ticks, how many frames the tool has sent in it, and two sums of these.
+    """Yield one line per phase, with its ticks, how many frames the tool has sent, and two sums of these.
 
     A line changes if the tool sends other frames in that phase, or the same ones in another order.
     """

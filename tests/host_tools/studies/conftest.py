@@ -72,7 +72,10 @@ class PlantedResults(StudyResults):
 
 
 def names_in_expression(cell: Cell, measure: str) -> dict[str, Any]:
-    """Return the values for a cell and a measure that an expression of ``PlantedResults`` may name."""
+    """Return the values of all names that an expression of ``PlantedResults`` may contain.
+
+    The expression is that of one cell and one measure.
+    """
     return {
         "f": cell.fill_ratio,
         "b": cell.true_accuracy,
@@ -121,9 +124,9 @@ def two_trials_with(*, x: Any = 0.5, b_hat: Any = 0.9, **changes: Any) -> Trials
 
 
 def _of_two_trials(values: Any, robots: int) -> Sample:
-    """Return values by trial, sample and robot.
+    """Return an array of the shape (2, samples, robots), in which both trials have the same values.
 
-    ``values`` are those of one sample or of several. Both trials have them.
+    ``values`` is a number, one sample, or a list of samples.
     """
     array = np.atleast_2d(np.asarray(values, np.float64))
     return np.broadcast_to(array, (2, len(array), robots)).copy()

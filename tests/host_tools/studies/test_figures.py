@@ -21,7 +21,7 @@ SHORT_STUDY = StudySize(trials=2, steps=100)
 
 @dataclass
 class ExperimentOnly:
-    """Stands for the trials of an experiment."""
+    """An object in place of trials, which has nothing of them but their experiment."""
 
     experiment: Experiment
 

@@ -260,7 +260,7 @@ def test_the_quick_form_of_a_program_measures_something_in_all_its_experiments(
 
 
 TEXT_OF_CELL = {"colour": related_work.right_text, "harm": two_readings.harm_text}
-"""Functions that make the text of a cell, by the mark of the table. All other tables show errors."""
+"""Functions that make the text of a cell, by the mark of the table. Tables with other marks show errors."""
 
 
 LIARS = "moving, 5 liars, "

@@ -193,10 +193,10 @@ def run_under(*fault_texts: str, ticks: int = 1, seed: int = 7) -> DisturbedRun:
 
 
 def extra_frames(faults: Faults, tick: int, before_others: bool) -> list[tuple[int, can.Message]]:
-    """Return pairs of a node and a frame that this node sends in a tick, in addition to its estimate.
+    """Return the frames that nodes send in a tick in addition to their estimates, as pairs of node and frame.
 
-    These are the frames before the estimates or, without ``before_others``, those after them. A second has
-    ten ticks.
+    With ``before_others`` these are the frames that come before the estimates, and otherwise those that come
+    after them. A second has ten ticks.
     """
     frames = []
     for node in range(ROBOTS):

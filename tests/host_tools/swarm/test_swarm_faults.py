@@ -462,7 +462,7 @@ def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
 
 
 def last_robot_with_a_fault(settings: SwarmSettings) -> int:
-    """Return the largest id of a robot that a fault names.
+    """Return the largest id of a robot that a fault names, and at least 6.
 
     The result is at least 6, the id of the first robot with a fault in other runs.
     """

@@ -296,7 +296,7 @@ def test_months_of_a_log_before_its_first_robot_have_no_states(tmp_path: Path) -
 def test_a_log_without_robots_without_times_or_without_frames_is_refused_with_the_reason(
     log_text: str, expected_reason: str, tmp_path: Path
 ) -> None:
-    """For example "(1.0) can0 123#00", a frame of no robot: "has no estimate and no telemetry of a robot"."""
+    """A log of "(1.0) can0 123#00", for example, "has no estimate and no telemetry of a robot"."""
     log = tmp_path / "real.log"
     log.write_text(log_text)
     with pytest.raises(UsageError, match=expected_reason):

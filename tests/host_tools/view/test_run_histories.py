@@ -199,7 +199,7 @@ def test_links_between_more_robots_than_fit_a_bus_are_pairs_of_receiver_and_send
 def test_the_title_of_a_swarm_has_robots_filter_topology_and_seed(
     changed_parameters: dict[str, Any], expected_title: str
 ) -> None:
-    """With the filter "none", for example: "7 robots, 4 flawed, no filter, fully connected, seed 3".
+    """With no filter it is "7 robots, 4 flawed, no filter, fully connected, seed 3", for example.
 
     A share of flawed robots, such as 50 %, is shown as their number: half of 7 is rounded to 4.
     """

@@ -114,7 +114,7 @@ def test_server_sends_the_page_to_a_user_who_opens_it_and_ignores_a_query(path: 
 def test_server_answers_requests_that_a_browser_makes_for_its_own_page(
     url: str, header: str, value: str
 ) -> None:
-    """For example with the header "Origin: http://localhost:PORT", where PORT is the server's port."""
+    """One such request has the header "Origin: http://localhost:PORT", where PORT is the server's port."""
     port = str(urlsplit(url).port)
     headers = {header: value.replace("PORT", port)}
     status, _content = get(url, "/", **headers)
@@ -139,7 +139,7 @@ def test_server_answers_requests_that_a_browser_makes_for_its_own_page(
 def test_server_refuses_requests_that_a_browser_makes_for_another_site(
     url: str, header: str, value: str
 ) -> None:
-    """For example with the header "Origin: http://evil.example": a site must not read a user's swarm.
+    """One has the header "Origin: http://evil.example": another site must not read a user's swarm.
 
     PORT stands for the server's port, and the status 403 for Forbidden.
     """
