@@ -121,7 +121,7 @@ def write_results(rows: list[dict[str, str]]) -> None:
 
 
 def read_results() -> dict[str, ErrorsByQuantity]:
-    """Return the results of ARGoS3 by filter, with a value of each seed."""
+    """Return the results of ARGoS3 by filter and quantity. Each is an array that has one value per seed."""
     with RESULTS.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     results: dict[str, ErrorsByQuantity] = {}
@@ -159,7 +159,7 @@ def simulate(filter_name: str, trials: int, **changes: Any) -> ErrorsByQuantity:
 
 
 def p_values(simulated: ErrorsByQuantity, argos: ErrorsByQuantity) -> dict[str, float]:
-    """Return for each quantity the probability of so large a difference if both had one distribution."""
+    """Return p-values by quantity: how probable so large a difference is if both have one distribution."""
     return {
         quantity: float(ks_2samp(np.round(simulated[quantity], DECIMALS), argos[quantity]).pvalue)
         for quantity in QUANTITIES

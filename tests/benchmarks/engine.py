@@ -99,9 +99,10 @@ def rates_by_world() -> dict[str, dict[str, float]]:
 
 
 def print_rates(world: str, rates: dict[str, float]) -> None:
-    """Print a table of a world that has a row with the rate of each program.
+    """Print a table of a world, with one row per program.
 
-    Behind the rate stands how many times it is that of Python, and that of plain C, if they were measured.
+    A row has the rate of the program, and its ratios to the rates of Python and of plain C, if these were
+    measured.
     """
     yardsticks = [name for name in (PYTHON, PLAIN) if name in rates]
     print(f"{world:32}{'robot-steps/s':>14}" + "".join(f"{f'x {name}':>20}" for name in yardsticks))

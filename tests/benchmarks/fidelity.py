@@ -85,7 +85,7 @@ def simulate(experiment: Experiment, trials: int) -> Floats:
 
 
 def p_values(ours: Floats, theirs: Floats) -> list[float]:
-    """Return for each score the p-value of the claim that both samples come from one distribution."""
+    """Return p-values by score: how probable so large a difference is if both have one distribution."""
     pairs = zip(np.round(ours, _DIGITS).T, np.round(theirs, _DIGITS).T, strict=True)
     return [float(ks_2samp(own, other, method="exact").pvalue) for own, other in pairs]
 

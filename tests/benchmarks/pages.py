@@ -75,7 +75,7 @@ def overview_of(report: str) -> str:
 
 
 def write_verdicts(comparisons: Path, verdicts: Path) -> None:
-    """Write a line for each claim and part: the verdict, and how many of its comparisons hold."""
+    """Write a table with one line per part of a claim: the verdict, and how many of its comparisons hold."""
     holding: dict[tuple[str, str, str], list[bool]] = {}
     with comparisons.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):

@@ -57,7 +57,7 @@ def test_the_benchmark_of_the_engine_prints_positive_rates_of_each_program_in_fi
 def test_the_benchmark_of_a_bus_compares_one_connection_for_a_swarm_with_one_for_each_robot(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It fails if the robots' final states differ, and prints a line with the ratio of times for each swarm.
+    """It fails if the robots' final states differ, and prints the ratio of times of each swarm in one line.
 
     A swarm of 3 robots and one of 20 run for 12 steps.
     """

@@ -21,7 +21,7 @@ from support import ROOT, cells_of_line
 
 Row = dict[str, str]
 STUDY = ROOT / "docs/robust_study.csv"
-"""Table of the cases' results: a row for each case, flaw and filter."""
+"""Table of the cases' results. It has one row per case, flaw and filter."""
 VARIANT_STUDY = ROOT / "docs/robust_variants.csv"
 """Table of some cases' results with variants of the robust filter. Each variant changes its source."""
 

@@ -116,10 +116,10 @@ def _passes(folder: Path, attempt: Try) -> bool:
 
 @cache
 def _third(*flags: str) -> TemporaryDirectory[str]:
-    """Build the independent implementation, once a process for each build, and return the program's folder.
+    """Build the independent implementation with some flags, and return the folder of the program.
 
-    It is linked with a library that is the firmware, or where it runs a mutant. The folder lasts as long as
-    the process.
+    It is linked with a library of the firmware. When it runs, it loads a mutant's library in its place. A
+    process builds it once for the same flags, and the folder lasts as long as the process.
     """
     temporary_folder = TemporaryDirectory()
     folder = Path(temporary_folder.name)
@@ -132,7 +132,10 @@ def _third(*flags: str) -> TemporaryDirectory[str]:
 
 
 def third_object(folder: Path, *flags: str) -> Path:
-    """Compile the independent implementation, which fits all cores of a build, and return the object file."""
+    """Compile the independent implementation, and return the object file.
+
+    The file can be linked with every core that is built with the same flags.
+    """
     object_file, source = folder / "third.o", ROOT / "tests/third/third.cpp"
     run(require("g++", "g++"), "-std=c++17", "-O1", f"-I{SOURCES}", *flags, "-c", source, "-o", object_file)
     return object_file

@@ -23,7 +23,7 @@ class Mutant:
     Attributes:
         path: The source.
         name: File, function and line, in which brackets show what is replaced by what:
-            ``a.py add: return a [+ => -] b``. It stays when lines above are added.
+            ``a.py add: return a [+ => -] b``. It stays the same when lines are added above.
         change: The characters that are replaced.
     """
 

@@ -1,4 +1,4 @@
-"""The lemmas of ``mcp_asdf_arithmetic.h``: one contract for each of its functions, by the function's name.
+"""The lemmas of ``mcp_asdf_arithmetic.h``: the contracts of its functions, by the function's name.
 
 A contract holds for every argument of the function's C type that it requires; most require nothing.
 """

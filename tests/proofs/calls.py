@@ -1,6 +1,6 @@
 """The calls: observe, receive, settle and the test do what docs/design.md says (sections 2 and 8), in all
-states in the ranges of docs/internals/properties.md. What they call is any function of its arguments, and
-changes no more than its own lemma says.
+states in the ranges of docs/internals/properties.md. In these proofs a function that they call may return
+anything for its arguments, and changes no more than its own lemma says.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ OBSERVE = Contract(_is_observed, _may_observe, stand_ins={"estimate": stand_in("
 
 
 def _heard_senders(robot: Any) -> Any:
-    """Return the set of senders heard as one word, with a bit for each id."""
+    """Return the set of senders heard as one word, in which each id has a bit."""
     # The union's bytes or, after they were cleared, its two long words.
     (parts,) = robot["heard"].values()
     return z3.Concat(*reversed(parts.values()))
@@ -351,7 +351,10 @@ def _may_test(robot: Any) -> Any:
 
 
 def _is_test_of_paper(rejects: Any, _robot_after: Any, robot: Any) -> list[Any]:
-    """Return that the test is eq. 12 multiplied out, with k in units of 2^-26, and what leads to it."""
+    """Return that the test is eq. 12 multiplied out, with k in units of 2^-26.
+
+    The formulas before the last one are steps of the proof.
+    """
     sums, word_at = robot["received"]["sums"]["open"], robot["config"]["table"].word_at
     # The lowest byte of the table's first word is q, its number of thresholds. Beyond q all k_m are the same.
     m, x, q = sums["count"], sums["x"], word_at(z3.BitVecVal(0, 32)) & 0xFF

@@ -98,7 +98,7 @@ class Machine:
     is proved where it is met.
 
     Attributes:
-        facts: What is known: of the unknown numbers, and the conditions under which the program gets here.
+        facts: What is known of the unknown numbers, and the conditions under which the program gets here.
         loop_invariant: What holds after each turn of an innermost loop, or None. It takes the terms of the
             function's variables by name, and returns a formula.
         decisions: What was decided at each fork so far, or will be.
@@ -138,7 +138,7 @@ class Machine:
     def _build_value(
         self, declaration: Any, name: str, make_number: Callable[[str, IntegerType], Number]
     ) -> Any:
-        """Return a value of a declared type, whose numbers ``make_number`` makes. It is None for void."""
+        """Return a value of a declared type, or None for void. ``make_number`` makes the numbers in it."""
         type_ = self._resolve_type(declaration)
         if type_ == "void":
             return None
@@ -172,7 +172,7 @@ class Machine:
         return Pointer(ConstantTable(z3.Function(f"{name} words", word_sort, word_sort), target_type), 0)
 
     def fresh_argument(self, parameter: Any) -> Any:
-        """Return an unknown argument: for an array, a pointer to its first element."""
+        """Return an unknown argument. If the parameter is an array, it is a pointer to the first element."""
         value = self.fresh_value(parameter.type, parameter.name)
         return Pointer(value, 0) if isinstance(parameter.type, c_ast.ArrayDecl) else value
 
@@ -220,7 +220,7 @@ class Machine:
             return Number(container.word_at(convert(index, container.word_type).term), container.word_type)
         if not isinstance(key, Number):
             return container[key]
-        # The index is not a constant: choose among all elements. It is claimed elsewhere to be one of them.
+        # The index is not a constant: choose among all elements. That it is one of them was proved before.
         _, loaded = next(iter(container.items()))
         for index, element in container.items():
             loaded = Number(z3.If(key.term == index, element.term, loaded.term), element.type)
@@ -352,7 +352,7 @@ class Machine:
         return self.evaluate(node).term != 0
 
     def _evaluate_logical(self, node: Any) -> Any:
-        """Return the formula of an && or ||. The right operand counts where the left one leaves it open."""
+        """Return the formula of an && or ||. Where the left operand does not decide, the right one does."""
         is_left_true = self.holds(self.evaluate_condition(node.left))
         is_settled = is_left_true == (node.op == "||")
         return z3.BoolVal(is_left_true) if is_settled else self.evaluate_condition(node.right)
@@ -449,7 +449,7 @@ class Machine:
         return self.call(name, *converted_arguments)
 
     def _convert_argument(self, argument: Any, parameter: Any) -> Any:
-        """Return an argument as the parameter has it: an array becomes a pointer to its first element."""
+        """Return an argument as the function gets it. An array becomes a pointer to its first element."""
         type_ = self._resolve_type(parameter.type)
         if isinstance(argument, dict) and isinstance(type_, (c_ast.PtrDecl, c_ast.ArrayDecl)):
             return Pointer(argument, 0)
@@ -498,7 +498,7 @@ class Machine:
         return Pointer(structure, name)
 
     def _locate_element(self, node: Any) -> Pointer:
-        """Return a pointer to an element: of an array, or of one that a pointer points to the begin of."""
+        """Return a pointer to an element of an array, which a pointer to its first element may stand for."""
         index = self.evaluate(node.subscript)
         array = self.evaluate(node.name)
         if isinstance(array, Pointer):
@@ -558,7 +558,7 @@ class Machine:
         return Number(z3.If(condition, z3.BitVecVal(1, bits), z3.BitVecVal(0, bits)), self.int_type)
 
     def _evaluate_initializer(self, declaration: Any, node: Any) -> Any:
-        """Return the value of what is declared with a value or with a list of values."""
+        """Return the initial value of a variable, of which the node is an expression or a list in braces."""
         type_ = self._resolve_type(declaration)
         if not isinstance(node, c_ast.InitList):
             return self._convert(self.evaluate(node), type_)
@@ -596,12 +596,12 @@ class Machine:
 
 
 def all_paths(program: Program, summaries: Mapping[str, Summary] | None = None) -> Iterator[Machine]:
-    """Yield a new machine for every path, on which the caller executes the same each time."""
+    """Yield new machines, one for each path. The caller has to execute the same code on each of them."""
     waiting_paths: list[tuple[bool, ...]] = [()]
     while waiting_paths:
         machine = Machine(program, summaries, waiting_paths.pop())
         yield machine
-        # The machine has met these forks while the caller had it.
+        # While the caller executed the code, the machine has found these other paths.
         waiting_paths += machine.other_paths
 
 

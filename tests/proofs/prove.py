@@ -29,9 +29,11 @@ class Contract:
     """The promises of a function. A formula takes the terms of the function's arguments.
 
     Attributes:
-        ensures: What holds of the result, the first argument, if ``requires`` did. Of a pointer, the argument
-            is what it pointed to, and what it then points to stands behind the result. It may return several
-            formulas: each is proved with those before it, and the last one is the promise.
+        ensures: What the function promises if ``requires`` held before the call. The formula takes the
+            result, unless there is none, then what each pointer among the arguments points to after the call,
+            and then all arguments as they were before it. Of a pointer it takes what the pointer pointed to.
+            It may return several formulas: each is proved with those before it, and the last one is the
+            promise.
         requires: What a caller has to fulfil.
         constant_parameter: A parameter that is a constant in all calls, or "".
         constant_values: The values of that parameter. Each has a proof of its own.
@@ -79,7 +81,10 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
 
 
 def _summaries_of_callees(program: Program, contract: Contract, contracts: Contracts) -> dict[str, Summary]:
-    """Return the summaries with which a contract is proved: its stand-ins, and one for each of its lemmas."""
+    """Return what stands for called functions in the proof of a contract, by their names.
+
+    These are its stand-ins, and the lemmas that it uses.
+    """
     summaries = dict(contract.stand_ins)
     for lemma in contract.used_lemmas:
         requires = _requires_proved_constant(program, lemma, contracts[lemma])
@@ -117,9 +122,10 @@ def _each(formulas: Any) -> list[Any]:
 
 
 def _run_function(machine: Machine, name: str, contract: Contract, constants: Mapping[str, int]) -> list[Any]:
-    """Run a function on unknown arguments that fulfil its contract, and on some constants by parameter.
+    """Run a function on unknown arguments that fulfil what its contract requires.
 
-    Return the terms that ``Contract.ensures`` takes.
+    ``constants`` are the values of arguments that are known, by the parameter's name. Returns the terms that
+    ``Contract.ensures`` takes.
     """
     arguments = {}
     for parameter in machine.program.parameters(name):
@@ -136,7 +142,7 @@ def _run_function(machine: Machine, name: str, contract: Contract, constants: Ma
 
 
 def _result_terms(result: Any, arguments: Iterable[Any]) -> list[Any]:
-    """Return the terms of a result, if there is one, and of what pointers among the arguments point to."""
+    """Return the terms of a result, unless it is None, and of what pointers among the arguments point to."""
     targets = [terms_of(argument) for argument in arguments if isinstance(argument, Pointer)]
     return targets if result is None else [terms_of(result), *targets]
 
@@ -147,10 +153,12 @@ def _result_terms(result: Any, arguments: Iterable[Any]) -> list[Any]:
 def stand_in(
     name: str, *changed_members: str, requires: Formula = always, ensures: Formula = always
 ) -> Summary:
-    """Return what stands for a called function of which these formulas alone are known, as of a ``Contract``.
+    """Return a summary that stands for a called function in proofs that do not enter its code.
 
-    Its result and what it writes may be anything, but depend on its arguments alone: see ``result_of``. Of
-    what its first argument points to it changes these members or, without any, all that it may write.
+    The proofs only know that a caller has to fulfil ``requires``, and that ``ensures`` then holds; both are
+    as in a ``Contract``. The function's result and what it writes may be anything, but depend on its
+    arguments alone: see ``result_of``. It changes these members of what its first argument points to. If no
+    members are given, it changes all that it may write.
     """
 
     def call(machine: Machine, *arguments: Any) -> Any:
@@ -175,7 +183,7 @@ def stand_in(
 def _writable_places(parameters: list[Any], arguments: Iterable[Any]) -> list[Pointer]:
     """Return pointers to all that a function may write through its arguments.
 
-    There is nothing to be written through a pointer to constants.
+    It writes nothing through a pointer to constants.
     """
     places = []
     for parameter, argument in zip(parameters, arguments, strict=True):
@@ -187,9 +195,9 @@ def _writable_places(parameters: list[Any], arguments: Iterable[Any]) -> list[Po
 
 
 def _results_like(value: Any, name: str, arguments: list[Any]) -> Any:
-    """Return a value as this one, with results of unknown functions as its numbers.
+    """Return a copy of a value in which each number is the result of an unknown function of the arguments.
 
-    Pointers in it are the same: no function writes one.
+    Pointers in it stay the same, as no function writes one.
     """
     if isinstance(value, dict):
         return {key: _results_like(member, f"{name} {key}", arguments) for key, member in value.items()}
@@ -210,7 +218,7 @@ def result_of(name: str, shape: Any, *arguments: Any) -> Any:
 
 
 def _iterate_words(terms: Any) -> Iterator[Any]:
-    """Yield all words in the terms of a value; a table has none, as no function writes one."""
+    """Yield all words in the terms of a value, but none of a table, as no function writes one."""
     if isinstance(terms, dict):
         for member in terms.values():
             yield from _iterate_words(member)

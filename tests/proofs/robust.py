@@ -137,7 +137,7 @@ def _is_vote(robot_after: dict[str, Any], robot: dict[str, Any]) -> Any:
     has_confidence = z3.If(z3.LShR(robot["alpha"], 8) != 0, z3.BitVecVal(1, 1), z3.BitVecVal(0, 1))
     # 32 stands for the robot's own estimate.
     slot = result_of("next_slot", 32, robust["filled_slots"], zero_extend(robust["turn"], 32), has_confidence)
-    # Of x_hat in units of 2^-23, and of slots in units of 2^-16.
+    # The x_hat of a robot is in units of 2^-23, and the estimate in a slot in units of 2^-16.
     x_hat = robot["x_hat"]
     for index, estimate in robot["received"]["estimates"].items():
         x_hat = z3.If(slot == index, zero_extend(estimate, 32) << 7, x_hat)

@@ -23,7 +23,10 @@ WORD = INTEGER_TYPES["uint32_t"]
 
 
 def results_on_paths(code: Program, name: str, *arguments: Number) -> list[tuple[Any, Any]]:
-    """Execute a function, and return for each path the condition under which it is taken, and its result."""
+    """Execute a function on all of its paths.
+
+    Returns pairs of the condition under which a path is taken, and of the result that it has there.
+    """
     results = []
     for machine in all_paths(code):
         result = terms_of(machine.call(name, *arguments))
@@ -101,9 +104,10 @@ def test_a_function_of_unknown_numbers_means_what_a_compiler_makes_of_it(body: s
 
 
 def result_for(values: list[tuple[Any, Any]], paths: list[tuple[Any, Any]]) -> int:
-    """Return the result on the one path whose conditions some values meet, each of an unknown word.
+    """Return the result of the one path that is taken if the unknown words have some values.
 
-    ``paths`` has a condition and a result for each path.
+    ``values`` are pairs of an unknown word and its value, and ``paths`` are pairs of a path's condition and
+    its result.
     """
     (result,) = [
         z3.simplify(z3.substitute(result, *values))
@@ -128,7 +132,10 @@ UNDEFINED_BODIES = {
     # b & 3U may be 3, and i then has the values 0 to 3, in four turns.
     "for (uint32_t i = 0; i <= (b & 3U); ++i) { /* at most 3 turns */ ++a; } return a;": "at most 3 turns",
 }
-"""Errors by the body of a function of two words, a and b, for which C leaves something open."""
+"""Bodies of functions of two words, a and b, with the error of each.
+
+C leaves open what the body does, or the body breaks its bound.
+"""
 
 
 @pytest.mark.parametrize(("body", "description"), UNDEFINED_BODIES.items(), ids=UNDEFINED_BODIES.values())
@@ -147,7 +154,7 @@ def test_code_that_c_leaves_undefined_or_that_breaks_its_bound_is_refused(
 # --- The arithmetic ----------------------------------------------------------------------------------------
 
 LIMITS = {"count": 31, "bits": 12, "prepared": 2**17}
-"""The largest values of parameters that are not any number."""
+"""The largest values of the parameters that may not be any number, by name."""
 LONG_EDGES = (0, 1, 2**15, 2**16, 2**29, 2**30, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**62, 2**63, 2**64 - 1)
 
 
@@ -200,7 +207,7 @@ def draw_argument(name: str, type_: IntegerType, rng: random.Random) -> int:
 def compile_arithmetic(code: Program, names: list[str], folder: Path) -> ctypes.CDLL:
     """Compile functions of a variant into a library, in a folder.
 
-    There they take and return long words, and have names that begin with "call_".
+    In the library their names begin with "call_", and they take and return long words.
     """
     lines = ['#include "mcp_asdf_arithmetic.h"']
     for name in names:

@@ -236,7 +236,7 @@ def compile_judge(folder: Path, core: Path = CORE) -> Path:
 def run_case(
     program: Path, case: Case, filters: Sequence[str] = tuple(FILTERS)
 ) -> dict[str, dict[str, list[float]]]:
-    """Run a case with each filter, and return lists with a number for each trial, by filter and quantity."""
+    """Run a case with each filter, and return lists by filter and quantity. Each has one number per trial."""
     world = zlib.crc32(f"{case.group} {case.name} {case.flaw}".encode())
     arguments = [f"seed={SEED}", f"world={world}", f"trials={case.trials}", *case.settings.split()]
     command = [str(program), *arguments, *(f"filter={name}" for name in filters)]
@@ -264,7 +264,7 @@ def rows_of(
 def summarize(values: Mapping[str, Sequence[float]]) -> dict[str, str]:
     """Return the columns from "trials" to "unfixed" of a row.
 
-    ``values`` has a list for each quantity, such as "error". The list has a number for each trial.
+    ``values`` are lists by quantity, such as "error". Each list has one number per trial.
     """
     errors = values["error"]
     median_error, low, high = median_interval(np.array(errors))
