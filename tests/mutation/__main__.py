@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from mutation import c_killers, python_killers
-from mutation.mutants import equivalents, mutants
+from mutation.mutants import mistakes
 
 
 def is_noticed(path: Path, source: str) -> bool:
@@ -31,12 +31,9 @@ def main() -> None:
     parser.add_argument("file", nargs="+", type=Path, help="source in C or Python")
     parser.add_argument("--sample", type=int, metavar="N", help="try N mistakes, at random")
     args = parser.parse_args()
-    mistakes = [
-        mutant for file in args.file for mutant in mutants(file.resolve()) if mutant.name not in equivalents()
-    ]
-    tried_mutants = (
-        mistakes if args.sample is None else random.sample(mistakes, min(args.sample, len(mistakes)))
-    )
+    tried_mutants = [mutant for file in args.file for mutant in mistakes(file.resolve())]
+    if args.sample is not None:
+        tried_mutants = random.sample(tried_mutants, min(args.sample, len(tried_mutants)))
     # If tests failed without a mistake, they would seem to notice any. One file stands for its folder.
     for path in {mutant.path.parent: mutant.path for mutant in tried_mutants}.values():
         if is_noticed(path, path.read_text(encoding="utf-8")):

@@ -61,6 +61,11 @@ def mutants(path: Path) -> list[Mutant]:
     return all_mutants
 
 
+def mistakes(path: Path) -> list[Mutant]:
+    """Return the mutants of a source that are mistakes: all but the equivalents."""
+    return [mutant for mutant in mutants(path) if mutant.name not in equivalents()]
+
+
 def _changed_line(source: str, change: Change) -> str:
     """Return the line with a change, without indentation and comment: ``return a [+ => -] b;``."""
     line_start = source.rfind("\n", 0, change.start) + 1

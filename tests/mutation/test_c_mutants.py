@@ -8,12 +8,12 @@ import re
 import pytest
 
 from mutation.c_killers import MUTATED, is_noticed
-from mutation.mutants import equivalents, mutants
+from mutation.mutants import equivalents, mistakes, mutants
 from proofs.source import SOURCES
 from support import ROOT, require
 
 MUTANTS = [mutant for path in MUTATED for mutant in mutants(path)]
-MISTAKES = [mutant for mutant in MUTANTS if mutant.name not in equivalents()]
+MISTAKES = [mistake for path in MUTATED for mistake in mistakes(path)]
 HARMLESS_CHANGES = [mutant for mutant in MUTANTS if mutant.name in equivalents()]
 PARTS = 4
 READS_BEYOND_AN_ARRAY = "the array ends, which the sanitizers report"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mutation.c_killers import MUTATED
-from mutation.mutants import equivalents, mutants
+from mutation.mutants import equivalents, mistakes, mutants
 from mutation.python_killers import is_noticed
 from support import ROOT
 
@@ -26,10 +26,10 @@ def plant_mistakes(files: list[Path], sample: int) -> list[str]:
     a mistake: then any would be noticed.
     """
     assert not is_noticed(files[0], files[0].read_text(encoding="utf-8"))
-    mistakes = [mutant for file in files for mutant in mutants(file) if mutant.name not in equivalents()]
+    all_mistakes = [mistake for file in files for mistake in mistakes(file)]
     return [
         mutant.name
-        for mutant in random.sample(mistakes, sample)
+        for mutant in random.sample(all_mistakes, sample)
         if not is_noticed(mutant.path, mutant.source())
     ]
 
