@@ -14,11 +14,11 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from proofs.source import ARITHMETIC, AVR, LANES_HEADER, SOURCES, VARIANTS, Variant
+from proofs.source import ARITHMETIC, AVR, FIRMWARE, LANES_HEADER, SOURCES, VARIANTS, Variant
 from support import ROOT, TABLE, require, run
 
 MUTATED = (
-    *(SOURCES / f"mcp_asdf{name}" for name in (".c", "_robust.h", "_image.c", "_frame.c", "_small.c")),
+    *FIRMWARE,
     *ARITHMETIC,
     LANES_HEADER,
 )

@@ -27,7 +27,8 @@ from proofs.robust import (
     minimum_of,
     product,
 )
-from proofs.source import Variant
+from proofs.source import VARIANTS, Variant, program
+from support import CORE
 
 UPDATED, REPEATED, ERR_OBSERVATION, ERR_SENDER, ERR_X_HAT = 2, 1, -5, -6, -7
 
@@ -507,3 +508,16 @@ CONTRACTS = {
 def contracts(variant: Variant) -> dict[str, Contract]:
     """Return the contracts of all functions that have one, for one variant."""
     return {**arithmetic.contracts(variant), **robust.CONTRACTS, **CONTRACTS}
+
+
+NAMES = sorted({name for variant in VARIANTS for name in contracts(variant)})
+"""The names of all functions that have a contract in a variant."""
+
+
+def variants_with(name: str) -> list[Variant]:
+    """Return the variants that define a function and have a contract for it."""
+    return [
+        variant
+        for variant in VARIANTS
+        if name in contracts(variant) and name in program(variant, CORE).functions
+    ]

@@ -11,13 +11,14 @@ from typing import Any
 
 from pycparser import c_ast, c_generator, c_parser
 
-from support import ROOT, matching_files, run
+from support import CORE, ROOT, matching_files, run
 
-SOURCES = ROOT / "c_ref/src"
-CORE = SOURCES / "mcp_asdf.c"
+SOURCES = CORE.parent
 HEADER = SOURCES / "mcp_asdf_arithmetic.h"
 ARITHMETIC = (HEADER, *matching_files(SOURCES, "mcp_asdf_target*.h"))
 """The private headers. The first includes all others."""
+FIRMWARE = (CORE, *(SOURCES / f"mcp_asdf_{part}" for part in ("robust.h", "image.c", "frame.c", "small.c")))
+"""The firmware without the arithmetic."""
 LANES_HEADER = ROOT / "host_tools/mcp_asdf_tools/experiments/engine/lanes_arithmetic.h"
 """The header that divides in the experiments' engine, which includes the core."""
 INCLUDE = Path(__file__).parent / "include"

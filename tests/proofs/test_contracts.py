@@ -10,39 +10,31 @@ import pytest
 
 from proofs.arithmetic import RECIPROCAL_LIMITS, is_tried
 from proofs.arithmetic import contracts as contracts_of_arithmetic
-from proofs.calls import contracts
+from proofs.calls import NAMES, contracts, variants_with
 from proofs.loops import prove_loops_end
 from proofs.prove import proof_key, prove_contract
 from proofs.source import (
     ARITHMETIC,
-    CORE,
+    FIRMWARE,
     HEADER,
     LANES,
     LANES_HEADER,
-    SOURCES,
     VARIANTS,
     Variant,
     program,
 )
-from support import require, run, slow
+from support import CORE, require, run, slow
 
-LEMMAS = sorted({name for variant in VARIANTS for name in contracts(variant)})
 LONG_PROOFS = ("statistics_after_vote", "divide_by_bits")
 """Functions whose proofs only the slow tests have."""
 
 
 def variants_to_prove(name: str) -> list[Variant]:
-    """Return the variants that define a function, but those where every argument is tried instead."""
-    return [
-        variant
-        for variant in VARIANTS
-        if name in contracts(variant)
-        and name in program(variant, CORE).functions
-        and not is_tried(variant, name)
-    ]
+    """Return the variants in which a function has a contract, except those where every argument is tried."""
+    return [variant for variant in variants_with(name) if not is_tried(variant, name)]
 
 
-@pytest.mark.parametrize("name", [name for name in LEMMAS if name not in LONG_PROOFS])
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in LONG_PROOFS])
 def test_a_function_keeps_its_contract_in_a_variant(name: str) -> None:
     """A variant is how a target divides, multiplies and shifts. This is the first that has the function.
 
@@ -53,7 +45,7 @@ def test_a_function_keeps_its_contract_in_a_variant(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", LEMMAS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_function_keeps_its_contract_in_every_variant(name: str) -> None:
     """The same text in two variants is proved once."""
     proofs = {
@@ -121,13 +113,6 @@ def test_the_reciprocal_of_every_divisor_is_as_good_as_the_proofs_assume(divide:
 
 # --- Loops -------------------------------------------------------------------------------------------------
 
-FIRMWARE = (
-    CORE,
-    SOURCES / "mcp_asdf_robust.h",
-    *(SOURCES / f"mcp_asdf_{part}.c" for part in ("image", "frame", "small")),
-)
-"""The firmware without the arithmetic, whose loops end by the proofs of its contracts."""
-
 
 # design: R34
 @pytest.mark.parametrize("variants", [VARIANTS[:1], *slow([(VARIANTS,)])], ids=["first variant", "all"])
@@ -135,6 +120,7 @@ FIRMWARE = (
 def test_every_loop_of_the_firmware_ends(path: Path, variants: tuple[Variant, ...]) -> None:
     """Each loop ends within the turns that a comment beside it states: so no call hangs.
 
+    That loops of the arithmetic end follows from the proofs of its contracts.
     ``prove_loops_end`` raises UnprovenError if a loop might have more. If a function has the same text in two
     variants, one proof is enough.
     """

@@ -12,7 +12,8 @@ from proofs import arithmetic, solver
 from proofs.integers import as_integers
 from proofs.prove import Contract, always, prove_contract
 from proofs.solver import UnprovenError, prove
-from proofs.source import CORE, VARIANTS, program
+from proofs.source import VARIANTS, program
+from support import CORE
 
 CODE = program(VARIANTS[0], CORE)
 
