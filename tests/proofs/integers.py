@@ -50,7 +50,7 @@ class IntegerTranslator:
             return formula
         if z3.is_bv(children[-1]):
             if kind not in _COMPARISONS:
-                raise NotImplementedError(f"{formula.decl()} of integers")
+                raise _no_translation(formula)
             left, right = (self._integer(child).term for child in children)
             return _COMPARISONS[kind](left, right)
         return formula.decl()(*(self.formula(child) for child in children))
@@ -75,7 +75,7 @@ class IntegerTranslator:
             condition, first, second = self.formula(children[0]), *map(self._integer, children[1:])
             return Integer(z3.If(condition, first.term, second.term), max(first.largest, second.largest))
         if not all(map(z3.is_bv, children)):
-            raise NotImplementedError(f"{word.decl()} of integers")
+            raise _no_translation(word)
         if len(children) == 1:
             return self._resize(word, children[0])
         integer = self._integer(children[0])
@@ -92,7 +92,7 @@ class IntegerTranslator:
         if kind == z3.Z3_OP_EXTRACT:
             _highest_bit, lowest_bit = word.params()
             return Integer(integer.term / 2**lowest_bit, integer.largest >> lowest_bit)
-        raise NotImplementedError(f"{word.decl()} of integers")
+        raise _no_translation(word)
 
     def _unknown_integer(self, word: Any) -> Integer:
         """Return an unknown number, or the result of an unknown function, within the range of its word."""
@@ -139,7 +139,12 @@ def _shift_or_mask(word: Any, integer: Integer, constant: int | None) -> Integer
         return Integer(integer.term / 2**constant, integer.largest >> constant)
     if constant is not None and kind == z3.Z3_OP_BAND and constant & (constant + 1) == 0:
         return Integer(integer.term % (constant + 1), constant)
-    raise NotImplementedError(f"{word.decl()} of integers")
+    raise _no_translation(word)
+
+
+def _no_translation(term: Any) -> NotImplementedError:
+    """Return the error about an operator that has no translation here, by the solver's name of it."""
+    return NotImplementedError(f"no translation to integers of {term.decl().name()}")
 
 
 def _trailing_zeros(word: Any) -> int:

@@ -25,6 +25,8 @@ from proofs.solver import prove
 from proofs.source import Program, documented_max_shift, documented_max_turns, nodes, variables_changed_by
 
 _COMPARISON_SYMBOLS = ("<", "<=", ">", ">=", "==", "!=")
+_BINARY_FORMS = {"-": ("-", 0), "~": ("^", -1)}
+"""Unary operators as binary ones with a left operand: -x is 0 - x, and ~x flips all bits of -1 that x has."""
 INTEGER_TYPES = {
     "_Bool": IntegerType(1),
     **{f"uint{bits}_t": IntegerType(bits) for bits in (8, 16, 32, 64)},
@@ -266,9 +268,22 @@ class Machine:
     def evaluate(self, node: Any) -> Any:
         """Execute a statement, or return the value of an expression.
 
-        Each kind of node has a method, ``_evaluate_cast`` for c_ast.Cast. Another kind is an error.
+        Each kind of node has a method, ``_evaluate_cast`` for c_ast.Cast. Another kind is an error. An error
+        gets a note with the node that raised it and its place in the C.
         """
-        return getattr(self, f"_evaluate_{type(node).__name__.lower()}")(node)
+        kind = type(node).__name__
+        try:
+            method = getattr(self, f"_evaluate_{kind.lower()}", None)
+            if method is None:
+                raise NotImplementedError(f"the machine does not know {kind}")
+            return method(node)
+        except (Return, PathEndsError):
+            raise
+        except Exception as error:
+            # The innermost node that has a place is the first one here.
+            if node.coord is not None and not hasattr(error, "__notes__"):
+                error.add_note(f"{kind} at {node.coord}")
+            raise
 
     def _evaluate_compound(self, node: Any) -> None:
         for statement in node.block_items or []:
@@ -370,7 +385,7 @@ class Machine:
                 type_ = IntegerType(bits, signed)
                 if is_allowed and value <= type_.maximum:
                     return constant(value, type_)
-        raise NotImplementedError(node.value)
+        raise NotImplementedError(f"the machine has no integer type for {node.value}")
 
     def _evaluate_id(self, node: Any) -> Any:
         """Return the value of an enumeration's constant or of a variable."""
@@ -417,9 +432,10 @@ class Machine:
             return old_value if node.op.startswith("p") else new_value  # p: the operator stands behind
         if node.op == "!":
             return self._to_int(self.evaluate_condition(node))
+        if node.op not in _BINARY_FORMS:
+            raise NotImplementedError(f"the machine does not know the operator {node.op}")
         number = self._promote(self.evaluate(node.expr))
-        # -x is 0 - x, and ~x is x with all bits of -1 flipped.
-        symbol, left_value = {"-": ("-", 0), "~": ("^", -1)}[node.op]
+        symbol, left_value = _BINARY_FORMS[node.op]
         return apply_operator(symbol, constant(left_value, number.type), number, self.require)
 
     def _evaluate_binaryop(self, node: Any) -> Number:
@@ -481,7 +497,7 @@ class Machine:
             pointer = self.evaluate(node.expr)
             assert isinstance(pointer, Pointer)
             return pointer
-        raise NotImplementedError(f"{type(node).__name__} as a place")
+        raise NotImplementedError(f"the machine has no pointer to {type(node).__name__}")
 
     def _locate_member(self, structure: Any, name: str) -> Pointer:
         """Return a pointer to a member. A union then has this one, made of the bits of the one it had."""

@@ -70,15 +70,20 @@ _UNSIGNED_OPERATORS: dict[str, Operator] = {
     **{"<": z3.ULT, "<=": z3.ULE, ">": z3.UGT, ">=": z3.UGE, ">>": z3.LShR, "/": z3.UDiv, "%": z3.URem},
 }
 OPERATORS = {True: {**_OPERATORS, **_SIGNED_OPERATORS}, False: {**_OPERATORS, **_UNSIGNED_OPERATORS}}
-"""Operators and comparisons by signedness and symbol; the firmware divides no signed number."""
+"""Operators and comparisons by signedness and symbol. The firmware divides no signed numbers."""
 
 
 def apply_operator(symbol: str, left_operand: Number, right_operand: Number, require: Require) -> Number:
     """Return the result of an operator on two numbers of the same type; a shift's count may have another.
 
-    ``require`` is called with what must hold for C to define the result.
+    ``require`` is called with what must hold for C to define the result. Raises NotImplementedError if the
+    operator is not known for the type.
     """
     type_ = left_operand.type
+    if symbol not in OPERATORS[type_.signed]:
+        raise NotImplementedError(
+            f"{symbol} of {'signed' if type_.signed else 'unsigned'} numbers is not known"
+        )
     if symbol in ("<<", ">>"):
         require(z3.ULT(right_operand.term, type_.bits), "shift by the width or more")
         # The solver shifts by a count of the same length only.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import suppress
 from typing import Any
 
 import z3
@@ -24,26 +23,31 @@ def prove(formula: Any, *facts: Any, description: str = "") -> None:
     Raises UnprovenError, with values that break the formula or with the reason why the solver gave up.
     """
     # There is a proof if nothing satisfies the facts and the opposite.
-    answer, solver = check_satisfiable(*facts, z3.Not(formula))
+    answer, explanation = check_satisfiable(*facts, z3.Not(formula))
     if answer == z3.sat:
-        raise UnprovenError(f"{description}: broken by {solver.model()}")
+        raise UnprovenError(f"{description}: broken by {explanation}")
     if answer == z3.unknown:
-        raise UnprovenError(f"{description}: not settled, {solver.reason_unknown()}")
+        raise UnprovenError(f"{description}: not settled, {explanation}")
 
 
 def check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
-    """Return z3's answer whether all of the formulas can hold, and the solver that gave it.
+    """Return z3's answer whether all of the formulas can hold, and an explanation.
+
+    The explanation is values for which they hold, or the reason why the solver gave up. It is None if they
+    cannot all hold.
 
     Each attempt has a context of its own and counts steps, not time. So the answer depends on the text of the
     formulas alone, and not on queries before or on the load of the machine.
     """
-    bit_text, integer_text = _solver_text(formulas), None
+    bit_text, integer_text, refusal = _solver_text(formulas), None, ""
     if "bvmul" in bit_text or "bvudiv" in bit_text:
         # If as_integers() cannot translate a formula, there is no query of integers. No claim is proved by
         # that: the query of words, which has all of the formulas, has to be settled instead. Nothing in this
         # block executes C, so an error of the machine about C that it does not know is never suppressed.
-        with suppress(NotImplementedError):
+        try:
             integer_text = _solver_text(as_integers(formulas))
+        except NotImplementedError as error:
+            refusal = f"; {error}"
     # Another seed and more steps may settle what an attempt has not: the solver's search is a heuristic.
     for seed, step_limit in enumerate(STEP_LIMITS):
         for query_text in (integer_text, bit_text):
@@ -56,8 +60,8 @@ def check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
             solver.from_string(query_text)
             answer = solver.check()
             if answer != z3.unknown:
-                return answer, solver
-    return answer, solver
+                return answer, solver.model() if answer == z3.sat else None
+    return answer, solver.reason_unknown() + refusal
 
 
 def _solver_text(formulas: Iterable[Any]) -> str:

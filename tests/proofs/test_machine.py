@@ -151,6 +151,30 @@ def test_code_that_c_leaves_undefined_or_that_breaks_its_bound_is_refused(
         prove_contract(parse_function(tmp_path, body), "f", {"f": Contract(always)})
 
 
+UNKNOWN_BODIES = {
+    "switch (a) { default: return b; }": ("does not know Switch", "Switch"),
+    "while (a > 7U) { /* at most 3 turns */ break; } return a;": ("does not know Break", "Break"),
+    "return a + sizeof(b);": ("does not know the operator sizeof", "UnaryOp"),
+    "return (uint32_t)((int32_t)a / 2);": ("/ of signed numbers is not known", "BinaryOp"),
+    "return a < 0x10000000000000000;": ("no integer type for 0x10000000000000000", "Constant"),
+    "(a, b) = 3U; return a;": ("no pointer to ExprList", "Assignment"),
+}
+"""Bodies of functions with C that the machine does not know, with the error of each and its node."""
+
+
+@pytest.mark.parametrize(("body", "error"), UNKNOWN_BODIES.items(), ids=UNKNOWN_BODIES.keys())
+def test_code_that_the_machine_does_not_know_is_refused_with_its_place(
+    body: str, error: tuple[str, str], tmp_path: Path
+) -> None:
+    """The error names what is not known, and has a note with the node, the file and the line."""
+    description, node = error
+    with pytest.raises(NotImplementedError, match=description) as refusal:
+        prove_contract(parse_function(tmp_path, body), "f", {"f": Contract(always)})
+
+    [place] = refusal.value.__notes__
+    assert place.startswith(f"{node} at {tmp_path / 'f.c'}:2:")
+
+
 # --- The arithmetic ----------------------------------------------------------------------------------------
 
 LIMITS = {"count": 31, "bits": 12, "prepared": 2**17}

@@ -75,6 +75,16 @@ def test_a_claim_that_the_solver_cannot_settle_is_not_proved(monkeypatch: pytest
         prove(p * q != large_prime, z3.UGT(p, 1), z3.UGT(q, 1), z3.ULT(p, 2**31), z3.ULT(q, 2**31))
 
 
+def test_the_error_about_a_claim_that_is_not_settled_names_what_has_no_translation_to_integers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Integers might have settled it, so whoever adds such code to the firmware may add the translation."""
+    monkeypatch.setattr(solver, "STEP_LIMITS", (1,))
+    p, q = z3.BitVecs("p q", 64)
+    with pytest.raises(UnprovenError, match=r"not settled, .*; no translation to integers of bvxor"):
+        prove(p * q != 35, p ^ q == 1)
+
+
 def test_formulas_without_a_translation_to_integers_are_settled_as_words() -> None:
     """The translator does not know ^, so it refuses the facts here, and the solver gets no integers.
 
@@ -83,7 +93,7 @@ def test_formulas_without_a_translation_to_integers_are_settled_as_words() -> No
     p, q = z3.BitVecs("p q", 8)
     is_same, is_different = p ^ q == 0, p ^ q != 0
     for fact in (is_same, is_different):
-        with pytest.raises(NotImplementedError):
+        with pytest.raises(NotImplementedError, match="no translation to integers of bvxor"):
             as_integers([fact])
 
     prove(p * p == q * q, is_same)
