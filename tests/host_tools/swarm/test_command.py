@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import signal
+from collections.abc import Callable
 from contextlib import nullcontext
 from io import StringIO
 from pathlib import Path
@@ -335,6 +336,11 @@ def test_swarm_refuses_a_file_that_it_cannot_write_before_the_first_tick(
 # --- Ends before the last step ---------------------------------------------------------------------------
 
 
+def call_in_each_tick(function: Callable[[Swarm], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the command swarm call a function at the end of each tick, instead of its live view."""
+    monkeypatch.setattr(live_view, "live_view", lambda *_: nullcontext(function))
+
+
 @pytest.fixture
 def signal_in_tick_7(monkeypatch: pytest.MonkeyPatch) -> None:
     """Send SIGTERM to this process in the seventh tick of a swarm."""
@@ -343,8 +349,7 @@ def signal_in_tick_7(monkeypatch: pytest.MonkeyPatch) -> None:
         if swarm.ticks == 7:
             os.kill(os.getpid(), signal.SIGTERM)
 
-    # The swarm calls the hook of its live view in each tick, so that is where the signal can be sent.
-    monkeypatch.setattr(live_view, "live_view", lambda *_: nullcontext(send_signal_in_tick_7))
+    call_in_each_tick(send_signal_in_tick_7, monkeypatch)
 
 
 @interruptible()
@@ -414,8 +419,7 @@ def folder_in_place_of_results(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     def make_folder(_swarm: Swarm) -> None:
         folder.mkdir(exist_ok=True)
 
-    # The swarm calls the hook of its live view in each tick, so that is where something can happen.
-    monkeypatch.setattr(live_view, "live_view", lambda *_: nullcontext(make_folder))
+    call_in_each_tick(make_folder, monkeypatch)
     return folder
 
 
