@@ -48,7 +48,7 @@ def _is_near_all_later(
     Near means that they differ by less than ``delta``. Later values are those in the rest of the chunk and
     those after it, of which ``lowest_after`` is the lowest and ``highest_after`` the highest.
     """
-    # For each value of the chunk, the lowest and the highest value from it to the end of the series.
+    # Element i is the lowest or highest of all values from value i of the chunk to the end of the series.
     lowest_to_end = _extremes_to_end(np.minimum, np.minimum(chunk, lowest_after))
     highest_to_end = _extremes_to_end(np.maximum, np.maximum(chunk, highest_after))
     # Unsigned values do not wrap around here, as neither difference is ever negative.

@@ -129,7 +129,7 @@ def _max_trials_of_job(experiment: Experiment, sampling_interval: int) -> int:
     samples = experiment.steps // sampling_interval if sampling_interval else 0
     bytes_of_robot = _BYTES_OF_ESTIMATE * experiment.steps + _BYTES_OF_SAMPLE * samples
     trials_in_memory = _MAX_BYTES_OF_JOB // (experiment.robots * bytes_of_robot)
-    # As many trials as make a short job, but at least as many as a long job has.
+    # A job has as many trials as make a short job, but at least as many as a long job.
     preferred_trials = max(_TRIALS_OF_LONG_JOB, trials_of_short_job)
     allowed_trials = min(_MAX_TRIALS_OF_JOB, trials_in_memory)
     return max(1, min(preferred_trials, allowed_trials))

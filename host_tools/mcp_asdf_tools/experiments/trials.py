@@ -75,7 +75,7 @@ def convergence_and_errors(
     # The steps are indices into a series here, so they get an axis in the place of the steps.
     x_then = np.take_along_axis(x_series, convergence_steps[:, :, np.newaxis], axis=step_axis)
     errors = abs(x_then[:, :, 0] * unit - experiment.fill_ratio)
-    # Where one series stands for all robots, so do its K and its error.
+    # If a trial has one series for all robots, its K and its error are those of all robots, too.
     shape = (len(x_series), experiment.robots)
     return np.broadcast_to(convergence_steps, shape).copy(), np.broadcast_to(errors, shape).copy()
 

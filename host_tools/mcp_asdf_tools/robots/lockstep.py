@@ -144,7 +144,7 @@ class Lockstep:
         answers = self._wait_for_answers(robots, self._telemetry, "settle", self._timeout)
         for robot, answer in answers.items():
             self._check_transfer_id(robot, answer.transfer_id)
-        # Only now: after an error the tick is still open.
+        # This comes last, since the tick must still be open after an error.
         self.tick += 1
         return answers
 

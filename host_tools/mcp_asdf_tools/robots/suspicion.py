@@ -45,7 +45,7 @@ class AlphaWatch:
     def __init__(self) -> None:
         """Begin without any sender."""
         self._last_alpha_and_count: dict[int, tuple[int, int]] = {}
-        """By sender: its last alpha in units of 2^-24, and the number of its estimates since it began."""
+        """Last alpha of each sender in units of 2^-24, and its number of estimates since it began, by id."""
 
     def is_jump(self, sender: int, alpha_word: int) -> bool:
         """Count the next estimate of ``sender``, and return whether its alpha is a jump. O(1).

@@ -336,7 +336,7 @@ class Carrier:
         clock, where none may be missing.
         """
         received: list[SentFrame] = []
-        # In batches, so that they fit into receive buffers.
+        # The frames are sent in batches that fit into receive buffers.
         for start in range(0, len(sent_frames), _BATCH_SIZE):
             batch = sent_frames[start : start + _BATCH_SIZE]
             send_all(source.bus, [sent_frame.frame for sent_frame in batch], FRAME_TIMEOUT)

@@ -47,7 +47,7 @@ class SentFrame:
 
     @cached_property
     def key(self) -> FrameKey:
-        """Identifier and data of the frame, computed once, since a late frame is awaited in many ticks."""
+        """Identifier and data of the frame, computed once, since late frames are compared in many ticks."""
         return key_of(self.frame)
 
     @property

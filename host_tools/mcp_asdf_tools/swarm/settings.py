@@ -68,7 +68,7 @@ class SwarmSettings(Population):
         if self.clock not in get_args(ClockKind):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
         if self.allow:
-            # In rising order, so that equal settings compare as equal.
+            # The text has ids in rising order, so that equal settings compare as equal.
             with naming_parameter("allow"):
                 allowed_ids = parse_ids(self.allow, "allow")
             object.__setattr__(self, "allow", format_ids(allowed_ids))

@@ -52,13 +52,13 @@ _TITLE_WIDTH = 56
 
 
 def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> Figure:
-    """Plot b_hat of all robots of all trials over time: medians and the middle 90 %, a panel an experiment.
+    """Plot b_hat over time: its median over all robots and trials, and a band with the middle 90 %.
 
-    b_hat is the accuracy that a robot assumes of its sensor; it is drawn after each filter step. Panels are
-    in the order of their filters; a title ends with the share of healthy robots that their filter has harmed:
-    whose b_hat ends more than HARM_LIMIT from its first value. ``where`` chooses experiments by their
-    parameters. Raises UsageError if no experiment is left, if there are more panels than fit a picture, and
-    for trials that are too short for a filter step.
+    b_hat is the accuracy that a robot assumes of its sensor; it is drawn after each filter step. Each
+    experiment has a panel, and panels are in the order of their filters. A title ends with the share of
+    healthy robots that their filter has harmed: whose b_hat ends more than HARM_LIMIT from its first value.
+    ``where`` chooses experiments by their parameters. Raises UsageError if no experiment is left, if there
+    are more panels than fit a picture, and for trials that are too short for a filter step.
     """
     experiments = sorted_by_filter(experiments_to_plot(results, where))
     if any(trials.experiment.steps < trials.experiment.filter_period for trials in experiments):

@@ -49,7 +49,7 @@ def plot_scatter(
     all_series = group_into_series(experiments)
     fill_ratios = shown_values(experiments, "fill_ratio")
     shares = shown_values(experiments, "flawed")
-    # In the order of the panels: by rows of a series and an f, and in a row by P.
+    # The order is that of the panels: a row has a series and an f, and its panels have rising P.
     panel_keys = list(product(all_series, fill_ratios, shares))
     figure, panels = create_panels(len(panel_keys), 1.7, len(all_series), max_columns=len(shares))
     legend = _legend_by_accuracies(experiments)
