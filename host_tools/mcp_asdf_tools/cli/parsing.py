@@ -45,7 +45,7 @@ class Parser(argparse.ArgumentParser):
         ``--seed``. Raises UsageError, with the nearest option's name, for an argument that belongs to no
         option.
         """
-        self._typed_options = set()  # to which _get_values adds them
+        self._typed_options = set()  # _get_values adds to it
         args, unknown_arguments = self.parse_known_args(typed_arguments)
         if unknown_arguments:
             self._refuse_unknown(unknown_arguments)

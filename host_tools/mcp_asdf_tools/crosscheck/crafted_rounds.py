@@ -162,7 +162,7 @@ def draw_alphas_of_one_scale(rng: Random, count: int, scale: tuple[int, int] | N
 # --- Rounds at the threshold of the test ---
 
 _MAX_ESTIMATES_TRIED = 1000
-"""Largest number of estimates in all rounds that are tried, to choose the one nearest to the threshold."""
+"""Number of estimates that the tried rounds have together at most; the nearest to the threshold is chosen."""
 _MANY_ESTIMATES = 100
 """Size of a round from which on its sums have more bits than a float64."""
 _MAX_DRAWS = 200
@@ -175,7 +175,7 @@ _MIN_DISTANCE_SHARE = 0.5
 
 So large sums have bits that floats lose."""
 _MIN_DISTANCE = 1 << 19
-"""Smallest distance of the mean of a round that serves from the robot's x_hat.
+"""Smallest distance from the robot's x_hat that the mean of a round may have.
 
 A unit of 2**-23 is then so small a part of the distance that a threshold wrong by a millionth shows. On one
 side of any x_hat there is room for so large a distance."""

@@ -121,7 +121,10 @@ def draw_n(rng: Random, t: int, b_hat: int) -> int:
 
 
 def draw_sums(rng: Random) -> Sums:
-    """Draw sums over a round that messages might have. The edges of each are the limits that others leave."""
+    """Draw sums of a round that messages might have.
+
+    The edges of a sum are the limits that are left to it by the sums that are drawn before it.
+    """
     count = draw_at_ends(rng, 1, MAX_ROUND_SIZE)
     x = draw_at_ends(rng, 0, count * ONE)  # where all x_hat are 1
     smallest_alpha = count  # one unit for every message
@@ -140,9 +143,10 @@ def draw_sums(rng: Random) -> Sums:
 
 
 def draw_sums_of_closed_round(rng: Random) -> tuple[int, int, int]:
-    """Draw the sums that are kept of a closed round. The edges of each are the limits that others leave.
+    """Draw the sums that are kept of a closed round.
 
-    They are the sum of alpha, and the sum of alpha x_hat in two parts, the lower one first.
+    They are the sum of alpha, and the sum of alpha x_hat in two parts, the lower one first. The edges of a
+    sum are the limits that are left to it by the sums that are drawn before it.
     """
     alpha = draw_at_ends(rng, 0, MAX_ROUND_SIZE * LARGEST_ALPHA_UNITS)
     largest_alpha_x = alpha * ONE  # where all x_hat are 1

@@ -169,8 +169,9 @@ class RobustScenarioWriter(ScenarioWriter):
     def _image_numbers(self, robot: State) -> dict[str, int]:
         """Return the numbers of an image of this robot, by name, with an x_hat and alpha that are drawn.
 
-        In half of the cases its present b_hat is drawn, too, if an earlier test may have changed it: if the
-        next test passes, the initial one must come back. It is that of the scenario's robot from now on.
+        An earlier test may have changed the robot's b_hat. If so, the present b_hat is drawn, too, in half of
+        the cases: if the next test passes, the initial one must come back. ``self._b_hat`` becomes the
+        present b_hat.
         """
         rng = self._rng
         self._b_hat = robot.robust.initial_b_hat

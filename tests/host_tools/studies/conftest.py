@@ -103,10 +103,10 @@ def run_two_short_trials(**parameters: Any) -> list[Trials]:
 def two_trials_with(*, x: Any = 0.5, b_hat: Any = 0.9, **changes: Any) -> Trials:
     """Make two trials with these values of x and b_hat, without running them: f = 0.5 and b = 0.9.
 
-    There are four robots, the first of them flawed. ``x`` is one number for all robots and samples, a list of
-    numbers, one per robot, for all samples, or a list of such lists, one per sample. ``b_hat`` is given
-    likewise, by filter steps in place of samples. Both trials have these values. All robots have converged at
-    step 0, without an error.
+    There are four robots, the first of them flawed. ``x`` may be one number, which all robots have at all
+    times. It may be a list with one number per robot, which the robot has at all times. Or it may be a list
+    of such lists, one per sample. ``b_hat`` is given likewise, with one list per step of the filter.
+    Both trials have the same values. All robots have converged at step 0, without an error.
     """
     settings = {"robots": 4, "flawed": 1, "steps": 4000, "fill_ratio": 0.5, "true_accuracy": 0.9, "trials": 2}
     experiment = Experiment(**settings | changes)

@@ -462,9 +462,9 @@ def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
 
 
 def last_robot_with_a_fault(settings: SwarmSettings) -> int:
-    """Return the largest id of a robot that a fault names, and at least 6.
+    """Return the largest id of a robot that a fault names, or 6 if no fault names a larger one.
 
-    The result is at least 6, the id of the first robot with a fault in other runs.
+    The robot 6 is the first robot with a fault in other runs.
     """
     robots_with_faults = {6}
     for fault in settings.faults:

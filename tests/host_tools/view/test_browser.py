@@ -416,7 +416,7 @@ def test_the_page_of_a_silent_bus_waits_until_a_robot_sends(browser: Page) -> No
 
 
 def roster_of_two_robots() -> Roster:
-    """Return a roster of robots 9 and 5, which sent an estimate and a heartbeat at 0 s and at 9 s."""
+    """Return a roster of two robots. An estimate and a heartbeat came from robot 9 at 0 s, from 5 at 9 s."""
     roster = Roster()
     for robot, now in ((9, 0.0), (5, 9.0)):
         roster.receive(can.Message(), Estimate(robot, x_hat=0, alpha=0, transfer_id=3), now)
