@@ -584,7 +584,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "eq. 8 never shifts up": with_firmware(
         "few observations",
-        "denominator.bit_length() - 32{ => \n    if dropped_bits < 0:\n"
+        "dropped_bits = denominator.bit_length(){ => \n    if dropped_bits < 32:\n"
         "        return (numerator << 16) // denominator << 16}",
     ),
     "t of 14 bits in eq. 8": with_firmware(

@@ -34,16 +34,12 @@ def divide_24(dividend: int, divisor: int) -> int:
 def q32_quotient(numerator: int, denominator: int) -> int:
     """Return numerator / denominator in units of 2**-32, or a little less, with the bits that the C computes.
 
-    In C this is ``quotient``. It keeps the upper 32 bits of the denominator, and drops as many lower bits of
-    the numerator. To a denominator of fewer bits, and to its numerator, it first appends 32 zeros. It divides
-    by the next even number above the denominator, so that the quotient is never too large.
+    In C this is ``quotient``. It shifts the denominator until that has 32 bits, and the numerator by as many.
+    It divides by the next even number above the denominator, so that the quotient is never too large.
     """
-    dropped_bits = denominator.bit_length() - 32
-    if dropped_bits < 0:
-        numerator <<= 32
-        denominator <<= 32
-        dropped_bits += 32
-    upper_numerator = numerator >> dropped_bits
-    upper_denominator = denominator >> dropped_bits
+    # Both first get 32 zeros at their end, so that even a short denominator has as many bits as it loses.
+    dropped_bits = denominator.bit_length()
+    upper_numerator = (numerator << 32) >> dropped_bits
+    upper_denominator = (denominator << 32) >> dropped_bits
     next_even_number = (upper_denominator // 2 + 1) * 2
     return (upper_numerator << 32) // next_even_number  # 32 more bits, for units of 2**-32
