@@ -91,7 +91,7 @@ FAULTS = {
     "halving: ties to even": "s.n = {round(s.n / 2) => s.n // 2}",
     "counters": "COUNTER_MASK = {0xFFFF => 0xFFFE}",
     "filter period": "if s.filter_left {== 0 => <= 1}:",
-    "restore": "repeated={repeated => repeated & 0x7FFF},",
+    "restore": "s.updated = senders_and_events{ => ; s.repeated &= 0x7FFF}",
     # The robust filter: its slots
     "slot: ids up to 31": "slot = {sender % SLOTS => min(sender, SLOTS - 1)}",
     "slot: ids modulo 16": "slot = sender % {SLOTS => 16}\n",

@@ -913,36 +913,21 @@ def _decode_state(config: Config, image: bytes) -> State:
     """
     is_robust = config.filter == Filter.ROBUST
     image_format = _FORMAT_WITH_ROBUST_FILTER if is_robust else _FORMAT_WITH_ROUNDS
-    numbers = image_format.unpack_from(image)  # the checksum is behind them
-    # In the order of _encode_state: 7 numbers, what the filter remembers, 4 words of senders, and 7 numbers.
+    numbers = image_format.unpack_from(image)  # without the checksum, which is behind them
+    # These have the order of _encode_state.
     _version_word, b_hat, t, n, x_hat, alpha, filter_left = numbers[:7]
     memory_of_filter = numbers[7:-11]
-    heard = numbers[-11:-7]
-    accepted, repeated, rejected, tests, updates, updated, robot_id = numbers[-7:]
+    *senders_and_events, robot_id = numbers[-11:]
     if not B_HAT_MIN <= b_hat <= B_HAT_MAX:
         raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {b_hat} is out of range")
-    state = State(
-        id=robot_id,
-        accuracy=accuracy_of(b_hat),
-        filter_left=filter_left,
-        t=t,
-        n=n,
-        x_hat=x_hat,
-        alpha=alpha,
-        heard=list(heard),
-        accepted=accepted,
-        repeated=repeated,
-        rejected=rejected,
-        tests=tests,
-        updates=updates,
-        updated=updated,
-    )
+    s = State(robot_id, accuracy_of(b_hat), filter_left, t, n, x_hat, alpha)
+    *s.heard, s.accepted, s.repeated, s.rejected, s.tests, s.updates, s.updated = senders_and_events
     if is_robust:
         # The estimates in the slots come last.
-        state.robust = RobustFilter(*memory_of_filter[:-SLOTS])
-        state.estimates = list(memory_of_filter[-SLOTS:])
+        s.robust = RobustFilter(*memory_of_filter[:-SLOTS])
+        s.estimates = list(memory_of_filter[-SLOTS:])
     else:
-        # Three sums of the closed round come before those of the open one.
-        state.closed = Closed(*memory_of_filter[:3])
-        state.open = Sums(*memory_of_filter[3:])
-    return state
+        # The three sums of the closed round come before those of the open one.
+        s.closed = Closed(*memory_of_filter[:3])
+        s.open = Sums(*memory_of_filter[3:])
+    return s
