@@ -16,7 +16,7 @@ from support import CORE, ROOT, TABLE, run
 PROGRAM = Path(__file__).with_name("bit_flips.c")
 PAGE = ROOT / "docs/internals/trust.md"
 FLIPS_PER_BIT = 10
-"""For the published table."""
+"""How often each bit is flipped for the published table."""
 FILTERS = (Filter.ADAPTIVE, Filter.ROBUST)
 OUTCOMES = ("in_time", "late", "no_effect", "less", "more")
 """Effects of a flip. Each flip has one effect; ``bit_flips.c`` explains them."""
@@ -24,12 +24,15 @@ COUNTS = ("flips", *OUTCOMES, "still", "unexplained")
 """What the program prints of each member, in this order."""
 
 BITS_OF_A_ROBOT = 8 * (16 + 1 + 1 + 10 + 24 + 20 + 29 + 64)
-"""All members but the pointer: senders, id, updated, counters, accuracy, five words, robust, received."""
+"""The number of bits of all members but the pointer.
+
+The bytes are those of senders, id, updated, counters, accuracy, five words, robust and received.
+"""
 
 Member = dict[str, int]
-"""Flips of a member's bits, by their effect."""
+"""The numbers of flips of a member's bits, by the names of COUNTS."""
 Counts = dict[str, Member]
-"""The members of a robot's memory, by name."""
+"""The numbers of all members of a robot's memory, by the member's name."""
 
 
 def count_effects(folder: Path, flips_per_bit: int, filter_kind: Filter, *flags: str) -> Counts:
@@ -54,7 +57,7 @@ def sum_of_members(members: Iterable[Member]) -> Member:
 
 @cache
 def count_flips(filter_kind: Filter, flips_per_bit: int) -> Counts:
-    """Do what ``count_effects`` does, once for each filter and number of flips."""
+    """Return the counts of ``count_effects``, which are made once per filter and number of flips."""
     with TemporaryDirectory() as folder:
         return count_effects(Path(folder), flips_per_bit, filter_kind)
 
@@ -66,20 +69,29 @@ def count_flips(filter_kind: Filter, flips_per_bit: int) -> Counts:
         pytest.param((Filter.ADAPTIVE, FLIPS_PER_BIT), id="adaptive", marks=pytest.mark.slow),
     ]
 )
-def counted(request: pytest.FixtureRequest) -> Counts:
-    """The effects of all flips: each bit is flipped once, or as often as for the published table."""
-    filter_kind, flips_per_bit = request.param
-    return count_flips(filter_kind, flips_per_bit)
+def filter_and_flips(request: pytest.FixtureRequest) -> tuple[Filter, int]:
+    """A filter, and how often each bit is flipped: once, or as often as for the published table."""
+    parameters: tuple[Filter, int] = request.param
+    return parameters
 
 
-def test_every_bit_of_a_robot_s_memory_flips_and_each_flip_has_one_effect(counted: Counts) -> None:
+@pytest.fixture
+def counted(filter_and_flips: tuple[Filter, int]) -> Counts:
+    """The effects of all flips in a robot with the filter."""
+    return count_flips(*filter_and_flips)
+
+
+def test_every_bit_of_a_robot_s_memory_flips_and_each_flip_has_one_effect(
+    filter_and_flips: tuple[Filter, int], counted: Counts
+) -> None:
     """Its memory has members, such as t and b_hat. An effect is, say, that a check finds the flip in time.
 
     Each bit is flipped once or ten times. ``counted`` has the number of flips, and that of each effect, for
     each member.
     """
+    _filter, flips_per_bit = filter_and_flips
     effects_of_all_members = sum_of_members(counted.values())
-    assert effects_of_all_members["flips"] in (BITS_OF_A_ROBOT, FLIPS_PER_BIT * BITS_OF_A_ROBOT)
+    assert effects_of_all_members["flips"] == flips_per_bit * BITS_OF_A_ROBOT
     for name, effects in counted.items():
         flips_with_an_effect = sum(effects[outcome] for outcome in OUTCOMES)
         assert flips_with_an_effect == effects["flips"], name
