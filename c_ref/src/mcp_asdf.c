@@ -100,9 +100,9 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
 }
 
 /* Returns `sum`, which is above 0, as a confidence: the 24 bits from its highest bit down are the mantissa,
- * and bits below these are lost. `exponent` is the exponent of a sum whose highest bit is bit 63, and the
- * result has one less for every bit by which the sum has to be shifted left to be such a sum: by a whole word
- * first, where the upper one is 0, and then by the rest. */
+ * and bits below these are lost. The sum is shifted left until bit 63 is its highest bit: first by a whole
+ * word if the upper one is 0, and then by the rest. `exponent` is the exponent of a sum that needs no shift.
+ * That of the result is less by the number of bits of the shift. */
 ALWAYS_INLINE confidence_t confidence_of_sum(uint64_t sum, uint32_t exponent)
 {
     if (high_word(sum) == 0U) {
@@ -613,7 +613,7 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
     if (!is_robust) {
         clear_round_sums(robot);
     }
-    /* The set of senders, a bit for each id: `all` has the 128 bits in two words. */
+    /* The set of senders has one bit per id: `all` has the 128 bits in two words. */
     robot->heard.all[0] = 0;
     robot->heard.all[1] = 0;
     return status;

@@ -126,8 +126,9 @@ static bool are_valid_sums(const mcp_asdf_open_t *open)
            is_valid_mean(open->alpha, open->alpha_x_low, open->alpha_x_high);
 }
 
-/* Whether received estimates can have led to the sums of the closed and of the open round. Of a closed round
- * only the sums of the weighted mean are kept, and checked. True with the robust filter, which keeps none. */
+/* Whether received estimates can have led to the sums of the closed and of the open round. A closed round
+ * keeps only the sums of the weighted mean, and these are checked. True with the robust filter, which keeps
+ * no sums. */
 static bool are_valid_rounds(const mcp_asdf_t *robot)
 {
     return mcp_asdf_is_robust(robot->config) ||

@@ -231,8 +231,8 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     if (largest_square == 0U) {
         return;
     }
-    /* quotient() takes no fraction above 1, as square / variance may be. As largest_square / variance is the
-     * largest ratio, the ratio is this part of it. */
+    /* quotient() takes no fraction above 1, but square / variance may be above 1. As largest_square /
+     * variance is the largest ratio, the ratio is the largest ratio times square / largest_square. */
     const uint64_t limited_square = square < largest_square ? square : largest_square;
     const uint32_t fraction_of_largest = quotient(limited_square, largest_square); /* Q32 */
     const uint32_t ratio = multiply_high(largest_ratio, fraction_of_largest);      /* < 2^20 */

@@ -126,7 +126,7 @@ def square_of_ratio(g: int, p: int) -> int:
 
     The ratio is rounded down to a multiple of 2**-24 before it is squared.
     """
-    # divide_24 takes numbers of 31 bits. Both are halved, which leaves their ratio as it is.
+    # divide_24 takes numbers of 31 bits. Both are halved, which changes their ratio by the lowest bits only.
     ratio_q24 = divide_24(g >> 1, p >> 1)
     ratio_q31 = ratio_q24 << 7  # the same ratio in units of 2**-31
     # The whole square has the unit 2**-62, 2**-31 squared. Its upper word has a unit 2**32 times as large.
@@ -266,7 +266,7 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     count_shift = leading_zeros(t)
     total = t << count_shift
     rarer = rare_count << count_shift  # p total
-    # This often the sensor's errors alone would show the rarer colour, on a floor without it.
+    # On a floor without the rarer colour, errors of the sensor would show it this often.
     errors = multiply_high(accuracy.c, total)  # c total
     if rarer <= errors:
         # Errors explain all observations of the rarer colour.

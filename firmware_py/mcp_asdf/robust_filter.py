@@ -303,8 +303,8 @@ def ratio_of_batch(robust: RobustFilter, count: int, black_count: int, share: in
     deviation = q11_from_q32(deviation_q32)
     square = deviation * deviation  # units of 2**-22, as the deviation has 2**-11
     limited_square = min(square, largest_square)
-    # A quotient of the C is at most 1, and square / variance may be more. As largest_square / variance is
-    # largest_ratio, the ratio is this part of it:
+    # A quotient of the C is at most 1, but square / variance may be above 1. As largest_square / variance is
+    # largest_ratio, the ratio is largest_ratio times square / largest_square.
     part_of_largest = q32_quotient(limited_square, largest_square)
     return multiply_high(largest_ratio, part_of_largest)
 

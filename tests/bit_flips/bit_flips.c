@@ -1,12 +1,12 @@
-/* The effect of one flipped bit in a running robot's memory, for every bit of every member but the pointer to
- * the configuration. The robot is one of twenty, flawed, and filters. The messages of its neighbours were
- * recorded in a run without a flip, and do not depend on what it sends. A bit flips in some phase of a tick:
- * after the observation, a message, or settle. Then the robot goes on for 1800 ticks, and checks its
- * invariants before each observation and each settle.
+/* This flips one bit in a running robot's memory, and finds the effect. It tries every bit of every member
+ * but the pointer to the configuration. The robot is one of twenty, flawed, and filters. The messages of its
+ * neighbours were recorded in a run without a flip, and do not depend on what it sends. A bit flips in some
+ * phase of a tick: after the observation, a message, or settle. Then the robot goes on for 1800 ticks, and
+ * checks its invariants before each observation and each settle.
  *
- * Prints a line of counts for each member; a call that traps ends the program. `bit_flips FLIPS FILTER` flips
- * every bit FLIPS times in a robot with this filter, a mcp_asdf_filter_t, and prints the same numbers on
- * every machine. */
+ * The program prints one line per member, with its counts. A call that traps ends it.
+ * `bit_flips FLIPS FILTER` flips every bit FLIPS times in a robot with this filter, a mcp_asdf_filter_t, and
+ * prints the same numbers on every machine. */
 #include "mcp_asdf.c"
 
 #include "mcp_asdf_image.c"

@@ -509,7 +509,7 @@ def ticks_until_a_swarm_agrees(filter_name: str, comms_period: int) -> float:
     [experiment] = m.grid(
         topology="dynamic", filter=filter_name, comms_period=comms_period, steps=20_000, trials=30
     )
-    # The column "k" has a list for each trial, with the tick from which on each robot agrees.
+    # The column "k" has one list per trial: the ticks from which on the robots agree.
     ticks_by_robot_and_trial = m.simulate([experiment])["k"].to_pylist()
     return statistics.median(statistics.fmean(ticks) for ticks in ticks_by_robot_and_trial)
 

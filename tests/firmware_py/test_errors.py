@@ -345,7 +345,10 @@ def test_an_image_is_restored_only_with_a_config_that_it_fits(
 
 
 def image_of_version_2(filter_mark: int) -> bytes:
-    """Return 31 words that begin as an image of version 2: its first byte is the version and a mark."""
+    """Return 31 words that begin as an image of version 2.
+
+    The first byte is the version, to which the mark of the filter is added.
+    """
     return bytes([2 + filter_mark]) + b"SCM" + bytes(120)
 
 

@@ -35,7 +35,7 @@ def test_the_limit_for_means_below_a_half_is_one_unit_further_from_it() -> None:
 def test_a_confidence_is_divided_by_as_many_bits_as_in_c() -> None:
     """By eq. 4 it is divided by n (t - n), which may have 62 bits. The C keeps the upper 31 of them.
 
-    These counts are among few, 1 in 1500, for which 30 bits would give another confidence.
+    With 30 bits one pair of counts in 1500 would give another confidence, and this pair does.
     """
     confidences = []
     for firmware in (MirrorRobot, NativeRobot):

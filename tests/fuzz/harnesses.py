@@ -48,9 +48,11 @@ class Harness:
         return folder
 
     def run(self, inputs: Path, flags: tuple[str, ...], *options: str) -> None:
-        """Compile it beside a folder of inputs and run it over or from these.
+        """Compile the harness beside a folder of inputs, and run it with these.
 
-        Raises CalledProcessError if it finds something; libFuzzer has said what, and where the input stands.
+        ``flags`` are for the compiler, and ``options`` for libFuzzer: they say whether it only tries the
+        inputs or draws others from them. Raises CalledProcessError if it finds something. Before that
+        libFuzzer has printed what it is, and the file of the input.
         """
         clang, program = require("clang", "clang libclang-rt-dev"), inputs.with_name(self.name)
         words = ("-std=c99", "-D_GNU_SOURCE", f"-I{CORE.parent}", f"-I{PORTS}", "-fsanitize=fuzzer", *flags)

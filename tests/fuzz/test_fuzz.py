@@ -59,7 +59,7 @@ def test_none_of_300_000_more_inputs_makes_a_port_crash_or_break_a_promise(
 
 
 def test_docs_trust_lists_the_harnesses_of_fuzzing() -> None:
-    """docs/internals/trust.md has a table with a row for each, and the number of inputs that are tried."""
+    """The table of docs/internals/trust.md has one row per harness. A sentence has the number of inputs."""
     section = section_of(ROOT / "docs/internals/trust.md", "Fuzzing")
     names_in_table = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
     assert names_in_table == list(HARNESSES)

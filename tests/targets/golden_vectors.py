@@ -45,11 +45,15 @@ FILES = {
     "golden_robust.bin": (robust_scenario, 1, 300, 10_000),
     "golden_robust_more.bin": (robust_scenario, 2, 300, 10_000),
 }
-"""Where scenarios of each come from, the seed, how many are tried, and its bytes. All but golden_many have
-room beside the core in the flash of an ATmega328P."""
+"""How the content of a file is made, by the file's name.
+
+That is the function that draws scenarios, its seed, the number of scenarios that are tried, and the most
+bytes that the file may have. All files but golden_many have room beside the core in the flash of an
+ATmega328P.
+"""
 MAGIC, MASK = 0x5647434D, 0xFFFFFFFF
 TABLES = (None, TableChoice("0.05", 30))
-"""By their codes; an image has one table."""
+"""Tables by their code in a file: none, or the one with which an image is linked."""
 
 _CODES = ("end", "observe", "step", "settle", "receive", "restore", "damage")
 _HEAD, _SCENARIO = struct.Struct("<IH"), struct.Struct("<IBBBIII")

@@ -20,7 +20,7 @@ class Target:
     """A microcontroller or machine.
 
     Attributes:
-        name: Of the preset and of the toolchain file.
+        name: Name of its preset and of its toolchain file.
         tools: Its compiler and its emulator, and what else building takes.
         packages: Debian packages with what it needs.
     """
@@ -38,7 +38,7 @@ BIG_ENDIAN = Target(
     "gcc-s390x-linux-gnu libc6-dev-s390x-cross qemu-user",
 )
 WASM = Target("wasm32", ("clang", "wasm-ld", "llvm-ar", "node"), "clang lld llvm nodejs")
-"""Browsers; clang alone compiles for it."""
+"""The target for browsers. Only clang compiles for it."""
 HOST = Target("host", ("gcc", "cmake"), "gcc cmake")
 """This computer."""
 TARGETS = (
@@ -72,7 +72,7 @@ LEVELS = {
     "-O3": ("Release", "OFF"),
     "-O2 LTO": ("RelWithDebInfo", "ON"),
 }
-"""CMake's name of the level, and whether the linker optimises."""
+"""Levels of the compiler by name: CMake's type of the build, and whether the linker optimises, too."""
 
 CHOICES = {
     "own": (),
@@ -115,7 +115,7 @@ class ImageBuild:
             require("ld.lld", "clang lld")
 
     def images(self) -> list[list[str]]:
-        """Return a list for each of its images: the names of the files that the image plays.
+        """Return one list per image of this build: the names of the files that the image plays.
 
         An ATmega328P's flash holds one small file.
         """

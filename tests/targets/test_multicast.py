@@ -43,7 +43,7 @@ from targets.c_node import (
 from targets.test_node import ID, OPTIONS_OF_SUBJECTS, SUBJECTS, any_frame, commands_that_are_answered
 
 PORT = 20000 + os.getpid() % 12000
-"""Below those that the kernel gives senders. Other processes that run this have others."""
+"""The group's port. It is below those that the kernel gives senders, and other processes use other ports."""
 IPV4, IPV6 = "239.74.163.91", "ff15:7079:7468:6f6e:6465:6d6f:6d63:91"
 
 
@@ -65,7 +65,7 @@ def interface(address: str) -> str:
 
 
 Arrival = tuple[can.Message | None, bytes]
-"""The frame of classic CAN in a datagram that arrives, or None if it has none, and the datagram."""
+"""A datagram that arrives: its frame of classic CAN, or None if it has no such frame, and its bytes."""
 
 
 def arrival_of(frame: can.Message) -> Arrival:

@@ -1088,7 +1088,7 @@ def test_the_radio_command_s_verdict_executes_every_line_and_branch_of_the_firmw
 ) -> None:
     """So a robot that passes has no untried code but the lines that NOT_EXECUTED lists with reasons.
 
-    NOT_EXECUTED has reasons, and for each the pattern of the lines of C that it holds for.
+    The keys of NOT_EXECUTED are reasons. A value is the pattern of the lines of C for which its reason holds.
     """
     lines_without_reason = []
     used_reasons = set()

@@ -21,7 +21,7 @@ unicorn: Any = pytest.importorskip("unicorn", reason="unicorn is not installed: 
 
 PORTS = ROOT / "c_ref/ports"
 OTHER_BYTE = b"\xa5"
-"""What RAM is full of before the start."""
+"""The byte of which RAM is full before the start."""
 MAX_INSTRUCTIONS = 100_000
 REGISTERS_OF_ARM = (unicorn.arm_const.UC_ARM_REG_SP, unicorn.arm_const.UC_ARM_REG_PC)
 REGISTERS_OF_RISCV = (unicorn.riscv_const.UC_RISCV_REG_SP, unicorn.riscv_const.UC_RISCV_REG_PC)

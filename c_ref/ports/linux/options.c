@@ -259,8 +259,8 @@ static void print_help_or_version(const option_texts_t texts)
 /* ---- Checks: each ends the program if options do not fit together ----------------------------------- */
 
 /* Check that --interface and --id are there, and exactly one of --lockstep, --observations and --sensor. If
- * not, fail() ends the program with a message; that about none or several of the three begins with
- * --lockstep. */
+ * not, fail() ends the program with a message. If none or several of the three are there, the message begins
+ * with --lockstep. */
 static void check_required_options(const option_texts_t texts)
 {
     if (texts[INTERFACE] == NULL) {

@@ -85,8 +85,8 @@ typedef struct {
 
 /* A node. The owner may write these members after node_init():
  *   health    mcp_asdf_health_t of the next heartbeat
- *   senders   an entry for each id, at first all 0, with which jumps of alpha are found; NULL, as node_init()
- *             leaves it, counts none */
+ *   senders   NULL, as node_init() leaves it, or an array with one entry per id, at first all 0. With
+ *             the array the node counts jumps of alpha */
 typedef struct {
     mcp_asdf_t robot;
     mcp_asdf_config_t config; /* the robot's, derived from the settings */

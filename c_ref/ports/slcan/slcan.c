@@ -83,8 +83,8 @@ uint8_t slcan_format_frame(char line[SLCAN_LINE_MAX], const mcp_asdf_frame_t *fr
     return (uint8_t)(end - line);
 }
 
-/* Convert the hexadecimal digits of a frame's data, two for each of `byte_count` bytes, and write the bytes
- * to `data`. Returns false if one of the characters is no digit; `data` is then of no use. */
+/* Convert the hexadecimal digits of a frame's data, and write its `byte_count` bytes to `data`. A byte has
+ * two digits. Returns false if one of the characters is no digit; `data` is then of no use. */
 static bool parse_data(uint8_t *data, const char *digits, uint8_t byte_count)
 {
     for (uint8_t i = 0; i < byte_count; ++i) {
@@ -138,9 +138,9 @@ static uint8_t parse_header(mcp_asdf_frame_t *frame, const char *line, uint8_t l
     return frame->length <= DATA_LENGTH_MAX ? header_length : 0;
 }
 
-/* Convert a line of `length` characters, without the carriage return at its end, to a frame: its header, then
- * two hexadecimal digits for each byte of the data. Returns false, and leaves *frame as it was, if the line
- * is no frame. */
+/* Convert a line of `length` characters, without the carriage return at its end, to a frame. The line has
+ * a header, and then two hexadecimal digits per byte of the data. Returns false, and leaves *frame as it was,
+ * if the line is no frame. */
 bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length)
 {
     mcp_asdf_frame_t parsed = {0, 0, 0, {0}};
