@@ -43,7 +43,7 @@ _MAX_READS_AFTER_DEADLINE = 4096
 """Frames that are read after a deadline. They arrived in time, and waited in the receive buffer only because
 this process was slow; but a flood that keeps filling the buffer must not hold up the swarm."""
 
-_MAX_OVERDUE_FRAMES = 4096
+_MAX_OVERDUE_FRAMES = 1024
 """Missed frames that may still arrive. On a bus that loses frames for days, older ones must not fill the
 memory; a frame that comes after so many others have been lost is reported as unexpected."""
 
