@@ -361,7 +361,6 @@ def test_links_of_the_readme_lead_somewhere() -> None:
 
 
 README = ROOT / "README.md"
-SWARM_PAGE = ROOT / "docs/swarm.md"
 README_OUTPUT = block_with(README, "share of black 0.685", "text")
 
 
@@ -385,7 +384,7 @@ def test_the_commands_of_the_readme_build_and_run_its_c_program_in_an_empty_fold
 def test_the_readme_shows_what_its_first_command_prints_as_the_page_on_swarms_does() -> None:
     """The page compares the filters in the same swarm, and a test compares its text with what is printed."""
     [line] = block_with(README, "Mean error on the same seed", "text").splitlines()
-    assert line in SWARM_PAGE.read_text(encoding="utf-8").splitlines()
+    assert line in (ROOT / "docs/swarm.md").read_text(encoding="utf-8").splitlines()
 
 
 def test_the_output_in_the_readme_is_what_the_paper_s_equation_gives() -> None:

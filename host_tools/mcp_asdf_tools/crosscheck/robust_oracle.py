@@ -207,7 +207,7 @@ def _new_batch(state: State) -> State:
 
 def _filled_slots(state: State) -> list[int]:
     """Return the slots that have an estimate, in ascending order."""
-    filled_slots = state["robust_filled_slots"]  # a mask with a bit for each slot
+    filled_slots = state["robust_filled_slots"]  # a mask with one bit per slot
     return [slot for slot in range(SLOTS) if filled_slots & (1 << slot)]
 
 

@@ -417,7 +417,7 @@ def _may_have_been_tested(robot: State) -> bool:
     It may have done so if there are enough estimates for a test, and if a batch has ended, as at every run of
     the filter.
     """
-    filled_slots = robot.robust.filled_slots.bit_count()  # a mask with a bit for each slot
+    filled_slots = robot.robust.filled_slots.bit_count()  # a mask with one bit per slot
     has_ended_batch = robot.robust.batch_t > 0
     return filled_slots >= TESTED_ESTIMATES_MIN and has_ended_batch
 

@@ -61,7 +61,7 @@ def _describe_emulated_run(settings: Population, trial: int) -> RunDescription:
 
 
 def describe_population(settings: Population, title: str) -> RunDescription:
-    """Return what the parameters alone say of a run: of its robots, their filter, the floor and the steps."""
+    """Return a description with what the parameters alone say: robots, filter, fill ratio and steps."""
     return RunDescription(
         title=title,
         robots=list(range(settings.robots)),
