@@ -186,7 +186,7 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
      * and then the two shifts above. It may be negative, in two's complement. */
     uint32_t exponent = 64U - 32U - QUOTIENT_FRACTION_BITS + ALPHA_FRACTION_BITS - 2U * g_shift - shift;
     exponent = exponent + divisor_shift - dividend_shift;
-    /* divide_24() takes divisors up to 2^31: both sides are halved, which leaves their quotient as it is. */
+    /* divide_24() takes divisors up to 2^31: both sides are halved, which costs their lowest bits. */
     const uint32_t shifted_divisor = shifted_high_word(divisor, divisor_shift);
     uint32_t mantissa = divide_24(shift_left(dividend, dividend_shift) >> 1, shifted_divisor >> 1);
     /* The quotient is in [2^23, 2^25), a mantissa below 2^24: a 25th bit goes into the exponent. */
